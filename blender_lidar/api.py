@@ -9,12 +9,8 @@ are pandas DataFrames where pandas is installed, else dictionaries of arrays. Wh
 from __future__ import annotations
 
 import operator
-import shutil
-import tempfile
 import warnings
-import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +30,6 @@ from .optimise import Search
 from .optimise.multi_fidelity import MultiFidelitySearch
 from .plugins import name_in_file
 from .results import Run, Scan, Score, table_of
-from .run.folder import RunFolder
 from .run.optimise import ended_search, evaluate_site, optimise_site
 from .run.verdict import POINTS, vehicle_table
 from .scene.deployment import MOUNTING, MOUNTING_OR_LEAN
@@ -115,10 +110,17 @@ def _absolute(path: object) -> object:
 
 
 class _Heard:
-    """Listens to a run: keeps the best point so far, which is wanted if it is stopped, and passes progress on."""
+    """Listens to a run: keeps the best point so far, which is wanted if it is stopped, and passes progress on.
 
-    def __init__(self, site: Site, progress: Progress | None) -> None:
-        self._metric, self._progress, self._points = metric_named(site.scoring.metric), progress, 0
+    `progress` is True for a bar, or a function, as for `best_mounting`.
+    """
+
+    def __init__(self, site: Site, progress: bool | Progress) -> None:
+        self._metric, self._points = metric_named(site.scoring.metric), 0
+        self._call = progress if callable(progress) else lambda done, of, best: None
+        self._bar = (
+            RunProgress(site.scenario.deployment.spaces[0].variables, self._metric) if progress is True else None
+        )
         self._best, self._of_last = -np.inf, site.scenario.objective.tolerance is not None  # whose search comes last
         self.best_x: np.ndarray | None = None
 
@@ -126,7 +128,8 @@ class _Heard:
         return self
 
     def __exit__(self, *exception) -> None:
-        pass
+        if self._bar is not None:
+            self._bar.__exit__(*exception)
 
     def searching(self, search: Search | MultiFidelitySearch) -> None:
         self._points, known = 0, np.isfinite(search.best_value)
@@ -134,31 +137,15 @@ class _Heard:
             self.best_x, self._best = search.best_x, search.best_value
         elif isinstance(search, MultiFidelitySearch) and search.evaluations:
             self.best_x = search.best_screened_x
-        if self._progress is not None:
-            self._progress(search.evaluations, search.budget, self._metric.total(search.best_value) if known else "")
+        self._call(search.evaluations, search.budget, self._metric.total(search.best_value) if known else "")
+        if self._bar is not None:
+            self._bar.searching(search)
 
     def mapping(self, points: int) -> None:
         self._points += points
-        if self._progress is not None:
-            self._progress(self._points, POINTS[0] * POINTS[1], "map of heights and tilts")
-
-
-class _HeardAndShown(_Heard):
-    """The same, and shows a bar."""
-
-    def __init__(self, site: Site) -> None:
-        super().__init__(site, None)
-        self._shown = RunProgress(site.scenario.deployment.spaces[0].variables, self._metric)
-
-    def __exit__(self, *exception) -> None:
-        self._shown.__exit__(*exception)
-
-    def searching(self, search: Search | MultiFidelitySearch) -> None:
-        super().searching(search)
-        self._shown.searching(search)
-
-    def mapping(self, points: int) -> None:
-        self._shown.mapping(points)
+        self._call(self._points, POINTS[0] * POINTS[1], "map of heights and tilts")
+        if self._bar is not None:
+            self._bar.mapping(points)
 
 
 def best_mounting(
@@ -189,20 +176,19 @@ def best_mounting(
         raise InputError("best_mounting: resume needs out, the folder of the run that was stopped")
     if not (isinstance(progress, bool) or callable(progress)):
         raise InputError(f"best_mounting: progress: is {shown(progress)}; allowed: True, False or a function")
-    listener = _HeardAndShown(site) if progress is True else _Heard(site, progress or None)
-    folder = _folder(out)
-    folder.check(resume=resume)
+    listener, run = _Heard(site, progress), Run(site, out)
     try:
-        with folder.locked(), listener:
-            folder.check(resume=resume)  # again: another run may have come first
-            if not (resume and ended_search(site, folder, warnings.warn)):
-                optimise_site(site, folder, listener, resume=resume)
-            return _run_in(folder, site, keeps=out is not None)
+        with run.begun(resume=resume), listener:
+            if not (resume and ended_search(site, run, warnings.warn)):
+                optimise_site(site, run, listener, resume=resume)
+            return _kept(run, out)
     except KeyboardInterrupt:
         if listener.best_x is None or site.scenario.deployment.poles:  # whose searches speak of one place each
             raise
         (best,) = site.scenario.deployment.spaces[0].layout(listener.best_x)
-        return replace(_judged(site, best, None), complete=False)
+        run = _judged(site, best, None)
+        run.complete = False
+        return run
 
 
 def judge_mounting(site: Site, *, out: str | Path | None = None, **mounting: float) -> Run:
@@ -219,29 +205,17 @@ def judge_mounting(site: Site, *, out: str | Path | None = None, **mounting: flo
 
 
 def _judged(site: Site, mounting: Mounting, out: str | Path | None) -> Run:
-    site, folder = _reaching(site, [mounting]), _folder(out)
-    folder.check()
-    with folder.locked():
-        folder.check()  # again: another run may have come first
-        evaluate_site(site, folder, mounting)
-        return _run_in(folder, site, keeps=out is not None)
+    run = Run(_reaching(site, [mounting]), out)
+    with run.begun():
+        evaluate_site(run.site, run, mounting)
+        return _kept(run, out)
 
 
-def _folder(out: str | Path | None) -> RunFolder:
-    """The folder of a run; one that nobody asked for lives as long as the run in memory."""
+def _kept(run: Run, out: str | Path | None) -> Run:
+    """A run that has ended, with its page and charts where somebody keeps it."""
     if out is not None:
-        return RunFolder(out)
-    folder = RunFolder(tempfile.mkdtemp(prefix="blender_lidar-"))
-    weakref.finalize(folder, shutil.rmtree, folder.path, ignore_errors=True)
-    return folder
-
-
-def _run_in(folder: RunFolder, site: Site, *, keeps: bool) -> Run:
-    """The run that has ended in a folder, with its page and charts where someone keeps it."""
-    outcome = folder.read_outcome()
-    if keeps:
-        write_pages(site, outcome, warnings.warn)
-    return Run(outcome, True, site)
+        write_pages(run.site, run, warnings.warn)
+    return run
 
 
 # --- Scores of mountings on the searched frames -----------------------------------------------------------------------

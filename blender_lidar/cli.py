@@ -70,9 +70,6 @@ def _exit_code(argv: Sequence[str] | None) -> int:
 def _carried_out(argv: Sequence[str] | None) -> int:
     (parser, verbs), words = _parsers(), sys.argv[1:] if argv is None else argv
     try:
-        for word in words:
-            if word.startswith("--") and word.endswith("=--"):  # of which argparse makes an empty list
-                parser.error(f"argument {word[:-3]}: expected one argument")
         args, unknown = parser.parse_known_args(words)
         if unknown:  # argparse would name the help of the whole command line
             verbs[args.verb].error(f"unrecognized arguments: {' '.join(unknown)}")

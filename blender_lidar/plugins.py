@@ -1,4 +1,4 @@
-"""Plug-ins: metrics and searches of one's own, named by an entry point or as ``FILE.py:NAME``.
+"""Plug-ins: metrics and searches of one's own, named ``FILE.py:NAME``.
 
 Such a name means the same in every process, so that workers find the plug-in too. What its code raises is reported in
 one line, with the line of the file.
@@ -12,34 +12,22 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from importlib.util import find_spec
 from inspect import getsourcefile
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .errors import InputError
 from .files import read_file, reading
 
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
-METRICS_OF_OTHERS, SEARCHES_OF_OTHERS = "blender_lidar.metrics", "blender_lidar.searches"  # groups of entry points
 IN_A_FILE = "FILE.py:NAME"
 _IN_A_FILE = re.compile(r"(?P<path>.+\.py):(?P<name>[^\W\d]\w*)")
 _LARGEST = 1 << 20  # bytes of a file
 
 
-def plugin_names(group: str) -> tuple[str, ...]:
-    """Names of the installed entry points of a group, and the form of those in files; none where there is no group."""
-    return (*sorted(_installed(group)), IN_A_FILE) if group else ()
-
-
-def is_plugin(name: object, group: str) -> bool:
+def is_plugin(name: object) -> bool:
     """Whether a name is that of a plug-in, which may still fail to load."""
-    return (
-        bool(group) and isinstance(name, str) and (_IN_A_FILE.fullmatch(name) is not None or name in _installed(group))
-    )
+    return isinstance(name, str) and _IN_A_FILE.fullmatch(name) is not None
 
 
 def located(name: str, folder: Path = Path()) -> str:
@@ -75,16 +63,12 @@ def name_in_file(code: Callable) -> str:
     return f"{path.resolve()}:{name}"
 
 
-def plugin_file(name: str, group: str) -> Path:
+def plugin_file(name: str) -> Path:
     """The file that holds the code of a plug-in."""
-    found = _IN_A_FILE.fullmatch(name)
-    if found:
-        return Path(found["path"])
-    with faults_in_one_line(f"entry point {name!r}"):
-        return Path(find_spec(_installed(group)[name].module).origin)
+    return Path(_IN_A_FILE.fullmatch(name)["path"])
 
 
-def load_plugin(name: str, group: str, where: str = "") -> Any:
+def load_plugin(name: str, where: str = "") -> Any:
     """What a plug-in's name stands for; `where` says where the name came from.
 
     A file is run in each process, and again when it has changed, with another ``__name__`` than ``"__main__"``.
@@ -95,9 +79,6 @@ def load_plugin(name: str, group: str, where: str = "") -> Any:
         When there is no such file or name in it, or its code fails, with the line.
     """
     prefix, found = f"{where}: " if where else "", _IN_A_FILE.fullmatch(name)
-    if not found:
-        with faults_in_one_line(f"{prefix}entry point {name!r}"):
-            return _installed(group)[name].load()
     path = found["path"]
     with reading(path, "a Python file"):
         source = read_file(path, _LARGEST)
@@ -147,10 +128,3 @@ def _module(path: str, source: bytes) -> ModuleType:
     finally:
         sys.path.remove(folder)
     return module
-
-
-@cache
-def _installed(group: str) -> dict[str, EntryPoint]:
-    from importlib.metadata import entry_points  # takes longer than help may
-
-    return {entry.name: entry for entry in entry_points(group=group)}

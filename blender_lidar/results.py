@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import html
+import shutil
+import tempfile
+import weakref
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from .commands.report import outcome_text
 from .errors import InputError
 from .files import write_bytes
 from .report.summary import answer, key_figures, warnings_text
-from .run.folder import Outcome
+from .run.folder import RunFolder
 from .scene.mounting import COORDINATES
 from .scene.site import Site
 from .traffic.vehicles import Vehicles
@@ -32,28 +34,29 @@ def table_of(columns: Mapping[str, np.ndarray]):
     return DataFrame(dict(columns))
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Run:
+class Run(RunFolder):
     """What a run came to; as text it is the sentence of its report, in a notebook that and its key figures.
+
+    Parameters
+    ----------
+    site : Site
+        What the mounting is judged on.
+    path : path, optional
+        Its folder; one that nobody asked for lives as long as this object.
 
     Attributes
     ----------
-    outcome : Outcome
-        Its folder and its vehicle tables.
+    result : dict
+        The content of result.json.
     complete : bool
         False where the run was stopped: its best mounting so far is judged.
-    site : Site
-        What the mounting was judged on.
     """
 
-    outcome: Outcome
-    complete: bool
-    site: Site
-
-    @property
-    def result(self) -> dict[str, Any]:
-        """The content of result.json."""
-        return self.outcome.result
+    def __init__(self, site: Site, path: str | Path | None = None) -> None:
+        super().__init__(tempfile.mkdtemp(prefix="blender_lidar-") if path is None else path)
+        if path is None:
+            weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+        self.site, self.complete = site, True
 
     @property
     def mounting(self) -> dict[str, float]:
@@ -63,19 +66,19 @@ class Run:
     @property
     def vehicles(self):
         """What the mounting sees of each vehicle in each frame: a table in the columns of vehicles.csv."""
-        return table_of(self.outcome.optimised)
+        return table_of(self.optimised)
 
     @property
     def baseline_vehicles(self):
         """The same vehicles under the baseline."""
-        return table_of(self.outcome.baseline)
+        return table_of(self.baseline)
 
     @property
     def history(self):
         """Every evaluation of the search, a table in the columns of history.csv; None for a given mounting."""
         if self.result["search"] is None:
             return None
-        rows, variables = self.outcome.folder.read_history(), self.result["bounds"]
+        rows, variables = self.read_history(), self.result["bounds"]
         names = ("evaluation", "iteration", "particle", *variables, "objective", "best")
         return table_of(dict(zip(names, rows.T, strict=True)))
 
@@ -84,7 +87,7 @@ class Run:
         """Objective and detectable share over heights and tilts, a table; None where the run has no map."""
         if self.result["map"] is None:
             return None
-        found = self.outcome.folder.read_score_map()
+        found = self.read_score_map()
         height, tilt = np.meshgrid(found.height_m, found.tilt_deg, indexing="ij")
         scores = {"objective_per_vehicle": found.per_vehicle, "detectable_share": found.detectable_share}
         columns = {"height_m": height, found.tilt: tilt, **scores}
@@ -97,7 +100,7 @@ class Run:
 
     def report(self) -> str:
         """What the command line prints of it: the answer, what its words mean, tables, and what to be wary of."""
-        return outcome_text(self.outcome, "")
+        return outcome_text(self, "")
 
     def __repr__(self) -> str:
         return f"<Run: {self}>"
@@ -135,13 +138,13 @@ class Plots:
         """Objective over height and tilt, with the optimum and the baseline."""
         if self.run.result["map"] is None:
             raise InputError("score_map: the run has none: it was no full search, or it was stopped")
-        return self._drawn("plot_score_map", score_map=self.run.outcome.folder.read_score_map())
+        return self._drawn("plot_score_map", score_map=self.run.read_score_map())
 
     def search(self) -> Picture:
         """How the best objective rose with the number of mountings tried."""
         if self.run.result["search"] is None:
             raise InputError("search: the run has no history: its mounting was given, or it was stopped")
-        return self._drawn("plot_convergence", history=self.run.outcome.folder.read_history())
+        return self._drawn("plot_convergence", history=self.run.read_history())
 
     def by_distance(self) -> Picture:
         """Scores and detectable shares by distance, before and after."""
@@ -154,9 +157,9 @@ class Plots:
     def _drawn(self, name: str, **settings) -> Picture:
         from .report import run_figures
 
-        with TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, "picture.png")
-            getattr(run_figures, name)(path, run=self.run.outcome, **settings)
+            getattr(run_figures, name)(path, run=self.run, **settings)
             return Picture(path.read_bytes())
 
 

@@ -23,7 +23,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from .errors import InputError, shown, unknown_name
 from .files import read_file, reading
-from .plugins import is_plugin, located, plugin_names
+from .plugins import IN_A_FILE, is_plugin, located
 
 _MAX_BYTES = 1 << 20
 _LARGEST_WHOLE = 2**53  # what a float and a CSV column still hold exactly
@@ -47,8 +47,8 @@ class Setting:
         What numbers are between: `low` and `high` are allowed themselves, `above` and `below` are not.
     allowed : iterable of str
         What a text may be; any where there are none.
-    plugins : str
-        Group of entry points whose names a text may be besides, or a function or class in a file: see `plugins`.
+    plugins : bool
+        Whether a text may name a function or class in a file besides: see `plugins`.
     word : str
         A text that may stand in place of a number.
     fits : callable
@@ -74,7 +74,7 @@ class Setting:
     above: float = -math.inf
     below: float = math.inf
     allowed: Iterable[str] = ()
-    plugins: str = ""
+    plugins: bool = False
     word: str = ""
     fits: Callable[[Any], object] | None = None
     form: str = ""
@@ -136,8 +136,8 @@ def checked(value: object, declared: Setting, where: str) -> Any:
     """
     found = _of_kind(value, declared.kind, declared, where)
     for one in found if isinstance(found, tuple) and declared.allowed else (found,):
-        if declared.allowed and one not in declared.allowed and not is_plugin(one, declared.plugins):
-            known = (*declared.allowed, *plugin_names(declared.plugins))
+        if declared.allowed and one not in declared.allowed and not (declared.plugins and is_plugin(one)):
+            known = (*declared.allowed, *([IN_A_FILE] if declared.plugins else []))
             raise unknown_name(one, known, where.rpartition(" ")[2].lstrip("-"), where)
     if declared.fits is not None and not declared.fits(found):
         raise _refused(where, value, declared.form)

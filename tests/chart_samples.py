@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +11,7 @@ import numpy as np
 from blender_lidar.report.cloud_figures import Found, Sight, plot_clouds, plot_detections, plot_occupancy
 from blender_lidar.report.run_figures import plot_blind_zones, plot_by_distance, plot_convergence, plot_score_map
 from blender_lidar.road.straight import StraightRoad, road_map
-from blender_lidar.run.folder import Outcome
+from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.verdict import ScoreMap
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.observation import CountedFrame
@@ -23,7 +22,8 @@ from tests.small_scene import mounting
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 HEADINGS = {"title": "A title", "subtitle": "And a subtitle"}
 CAR = (4.5, 1.8, 1.5)
-ROAD = road_map(StraightRoad(lanes=5))
+STRAIGHT = StraightRoad(lanes=5)
+ROAD = road_map(STRAIGHT)
 
 
 def table(seed: int, number: int = 200) -> dict[str, np.ndarray]:
@@ -71,8 +71,8 @@ def score_map() -> ScoreMap:
     return ScoreMap(height, tilt, value, value, value[..., None], np.ones(1, dtype=int))
 
 
-def outcome(*, metric: str = "pe-vgop", **changes: object) -> Outcome:
-    """What a run came to, as far as charts show it; `changes` replace what the result says."""
+def run_of(seen: dict | None = None, /, *, metric: str = "pe-vgop", **changes: object) -> RunFolder:
+    """A run in memory, as far as charts show it, with a vehicle table for both mountings and changes of its result."""
     result = {
         "sensor": "RS-16",
         "metric": metric,
@@ -86,18 +86,16 @@ def outcome(*, metric: str = "pe-vgop", **changes: object) -> Outcome:
         **scores(0.8, 4.0, 20.0),
         "baseline": scores(0.2, 2.0, 0.0),
     }
-    return Outcome(None, result | changes, table(2), table(1))
+    run = RunFolder("nowhere")
+    run.result = result | changes
+    run.baseline, run.optimised = (table(1), table(2)) if seen is None else (seen, seen)
+    return run
 
 
 def history() -> np.ndarray:
     """What a search tried: numbers, objectives and the best so far."""
     best = np.maximum.accumulate(np.random.default_rng(5).random(50))
     return np.column_stack([np.arange(1.0, 51.0), best - 0.1, best])
-
-
-def with_tables(before: dict, after: dict | None = None, **changes: object) -> Outcome:
-    """The same with other vehicles."""
-    return replace(outcome(**changes), baseline=before, optimised=before if after is None else after)
 
 
 def cloud(seed: int, number: int = 500) -> SimpleNamespace:
@@ -125,8 +123,11 @@ def detections(number: int = 300) -> dict[str, object]:
         np.full(7, 0.8),
     )
     vehicle, ignored = np.array([0, 2, 4, 6, 8, -1, -1]), np.arange(7) == 5
-    of_mountings = {"Baseline": (2.0, cloud(6, number)), "Given": (4.0, cloud(7, number))}
-    found = [Found(name, mounting(mount(z)), made, boxes, vehicle, ignored) for name, (z, made) in of_mountings.items()]
+    of_mountings = {
+        "Baseline": (mounting(mount(2.0)), cloud(6, number)),
+        "Given": (mounting(mount(4.0)), cloud(7, number)),
+    }
+    found = [Found(name, *seen, boxes, vehicle, ignored) for name, seen in of_mountings.items()]
     return {"frame": frame, "found": found, **HEADINGS}
 
 
@@ -151,7 +152,7 @@ def occupancy(before: float, after: float, size: tuple[float, float, float] = CA
 
 def chart_arguments() -> dict[str, tuple[object, dict[str, object]]]:
     """Every chart with small arguments of its own."""
-    run = {"run": outcome()}
+    run = {"run": run_of()}
     return {
         "convergence": (plot_convergence, {**run, "history": history()}),
         "score_map": (plot_score_map, {**run, "score_map": score_map()}),

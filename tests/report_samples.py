@@ -109,7 +109,7 @@ def make_runs(folder: Path) -> Path:
 
 def page_of(folder: RunFolder) -> str:
     """The page of a run, made from its folder."""
-    return report_html(folder.read_outcome())
+    return report_html(RunFolder(folder.path))
 
 
 def result_of(folder: RunFolder) -> dict:

@@ -51,7 +51,7 @@ def test_importing_costs_nothing_until_something_is_asked_for():
 def test_a_search_comes_to_what_the_command_line_comes_to(tmp_path, site, capsys):
     words = ("--particles", 4, "--iterations", 3, "--workers", 1, "--out", tmp_path / "run")
     done(capsys, "optimise", tmp_path / "scene.toml", *words)
-    told = RunFolder(tmp_path / "run").read_outcome()
+    told = RunFolder(tmp_path / "run")
     run = bl.best_mounting(site)
     assert run.complete
     assert run.mounting == {key: told.result["deployment"][key] for key in COORDINATES}
@@ -172,7 +172,7 @@ def test_a_run_that_is_kept_has_the_files_of_the_command_line_and_a_judged_one_i
 
 def test_the_folder_of_a_run_that_nobody_keeps_goes_with_it(site):
     run = bl.judge_mounting(site)
-    folder = run.outcome.folder.path
+    folder = run.path
     assert folder.is_dir()
     del run
     gc.collect()
@@ -273,55 +273,26 @@ def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
             "mounting: unknown coordinate 'height'; did you mean 'height_m'",
         ),
         (lambda site: bl.score_mounting(site, height_m=300), "height_m: is 300; allowed: 0.1 to 100"),
-        (lambda site: bl.score_mounting(site, height_m=float("nan")), "height_m: is nan; allowed: a number"),
-        (
-            lambda site: bl.score_mounting(site, y_m=sum(site.scenario.road.carriageway_y) / 2),
-            "mounting: the mount at x 0 m, y .* m stands on the carriageway",
-        ),
         (lambda site: bl.score_mountings(site, []), "score_mountings: the table is empty"),
         (lambda site: bl.score_mountings(site, {"height_m": [2, 3], "tilt_x_deg": [1]}), "allowed: .s,., all of one"),
-        (
-            lambda site: bl.load_scene("i80", traffic=Path("none.csv"), caster="exact"),
-            "none.csv: there is no such file",
-        ),
-        (lambda site: bl.scan_frame(site, 10**6), "frame: "),
         (
             lambda site: bl.score_cloud(np.zeros((2, 2)), site.search[0].vehicles),
             r"points: shape \(2, 2\); allowed: \(n, 3\)",
         ),
         (lambda site: bl.score_cloud(np.zeros((2, 3)), site.search[0].vehicles, [1]), r"of shape \(1,\)"),
-        (lambda site: bl.score_cloud(np.zeros((1, 3)), boxes_table(rows=0), [1]), "^boxes: no rows$"),
-        (
-            lambda site: bl.score_cloud(np.zeros((1, 3)), boxes_table(x_m=[np.nan]), [1]),
-            "^boxes: row 1: x_m is 'nan'; ",
-        ),
         (lambda site: bl.score_cloud(np.zeros((1, 3)), boxes_table(x_m=[1, 2]), [1]), r"x_m \(2,\), .*one length"),
         (lambda site: bl.score_cloud(np.zeros((1, 3)), {"frame": [1]}, [1]), "^boxes: .*vehicle_id"),
         (lambda site: bl.score_cloud("a.npz", "b.csv", colour=1), "score_cloud: unknown setting 'colour'"),
         (lambda site: bl.best_mounting(site, resume=True), "resume needs out"),
         (lambda site: bl.best_mounting(site, progress="yes"), "progress: is 'yes'; allowed: True, False or a function"),
         (lambda site: bl.load_scene("i80", frame_ids="a"), "load_scene: frame_ids: 'a'; allowed: frame numbers"),
-        (lambda site: bl.load_scene("i80", frames=[1]), "load_scene: frames: is .1.; allowed: a whole number"),
-        (lambda site: bl.load_scene("i80", deployment={"height": 3}), "unknown key 'height'; did you mean 'height_m'"),
         (lambda site: bl.score_mountings(site, [{"height_m": 3}, 4]), "row 2: is 4; allowed: a mapping"),
-        (lambda site: bl.score_mountings(site, np.ones((2, 2))), "row 1: is array.*; allowed: a mapping"),
-        (lambda site: bl.score_mountings(site, {"height_m": 3}), r"columns have shapes height_m \(\); allowed"),
         (lambda site: bl.score_mountings(site, {"height_m": [3, np.nan]}), "row 2: height_m: is nan; allowed"),
         (lambda site: bl.scan_frame(site, "1400"), "frame: is '1400'; allowed: a whole number"),
-        (lambda site: bl.scan_frame(site, [1400]), "frame: is .1400.; allowed: a whole number"),
         (lambda site: bl.score_cloud("a.npz", site.search[0].vehicles, [1]), "is given beside a file"),
-        (lambda site: bl.score_cloud([["a", 1, 2]], site.search[0].vehicles), "points: is .*; allowed: .n, 3."),
-        (
-            lambda site: bl.score_cloud(np.zeros((1, 3)), site.search[0].vehicles, [np.nan]),
-            "vehicle_id: float64 .*whole numbers",
-        ),
         (
             lambda site: bl.score_cloud(np.zeros((1, 3)), site.search[0].vehicles, [1], frame=-5),
             "boxes: hold frame .*; allowed: one vehicle or more, of the frame",
-        ),
-        (
-            lambda site: bl.score_cloud(np.zeros((1, 3)), site.search[0].vehicles.select([]), [1]),
-            "0 vehicles; allowed: one vehicle or more",
         ),
     ],
 )

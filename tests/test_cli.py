@@ -7,7 +7,6 @@ import json
 import re
 import subprocess
 import sys
-import tomllib
 import warnings
 from pathlib import Path
 
@@ -22,8 +21,8 @@ from blender_lidar.commands.report import outcome_text
 from blender_lidar.report.summary import answer
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.traffic.table import BOX_NEEDED, OPTIONAL
-from tests.small_scene import CASTER, done, without_times, write_scene, write_table
 from tests.small_scene import cli as run
+from tests.small_scene import done, without_times, write_scene, write_table
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -44,13 +43,6 @@ def piped(*words: object, reads: int) -> tuple[int, str]:
         child.stdout.close()
         error = child.stderr.read().decode()
         return child.wait(), error
-
-
-def test_optimize_is_optimise(capsys, tmp_path):
-    scene = write_scene(tmp_path)
-    folders = [tmp_path / verb for verb in ("optimise", "optimize")]
-    results = [json.loads(done(capsys, path.name, scene, "--out", path, "--json")[0]) for path in folders]
-    assert without_times(results[0]) == without_times(results[1])
 
 
 # --- help and versions ------------------------------------------------------------------------------------------------
@@ -152,10 +144,9 @@ def test_a_disk_that_is_full_is_one_line():
     assert done.stderr == "blender-lidar: output cannot be written: No space left on device\n"
 
 
-@pytest.mark.parametrize("caster", ["raster", "embree", "bvh"])
-def test_stdout_holds_the_json_and_nothing_else_whatever_casts(tmp_path, caster):
-    pytest.importorskip({"raster": "numba", "embree": "embreex", "bvh": "bpy"}[caster])
-    done = process("evaluate", write_scene(tmp_path), "--caster", caster, "--out", "run", "--json")
+def test_stdout_holds_the_json_and_nothing_else_whatever_blender_prints(tmp_path):
+    pytest.importorskip("bpy")
+    done = process("evaluate", write_scene(tmp_path), "--caster", "bvh", "--out", "run", "--json")
     assert done.returncode == 0, done.stderr
     assert done.stdout == Path("run/result.json").read_text()
     assert "Error" not in done.stderr
@@ -198,7 +189,7 @@ def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     all_seen = (
         "Every vehicle is detectable under either mounting on held-out traffic, so the detectable share does not "
     )
-    all_seen += "tell them apart: [objective] threshold is 0.005; try a higher one. "
+    all_seen += "distinguish them: [objective] threshold is 0.005; try a higher one. "
     assert " ".join(notes.split()) == all_seen + few + "may be chance."
     assert "search: 12 of 12 best " in err
     assert max(map(len, out.replace(str(tmp_path), "").splitlines())) <= 120
@@ -206,17 +197,11 @@ def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
 
 def test_warnings_of_plan_and_traffic_come_last_and_once(tmp_path, capsys):
     done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
-    run = RunFolder("run").read_outcome()
+    run = RunFolder("run")
     run.result["notes"], run.result["traffic_report"]["notes"] = ["few frames", "guessed"], ["guessed"]
     warned = outcome_text(run, "Results in run").rpartition("\n\n")[2].splitlines()
     assert warned[-2:] == ["Few frames.", "Guessed."]
     assert warned.count("Guessed.") == 1
-
-
-def test_the_words_of_the_solver_are_kept_for_verbose(tmp_path, capsys):
-    out, _ = done(capsys, "optimise", write_scene(tmp_path), "--verbose", "--out", "run")
-    titles = [line.split()[0] for line in out.partition("\n\n")[0].splitlines() if not line.startswith(" ")]
-    assert titles == ["Sensor", "Traffic", "Region", "Searched", "Held", "Casting", "Searching"]
 
 
 def test_rows_that_were_not_used_are_told_without_being_asked(tmp_path, capsys):
@@ -425,17 +410,3 @@ def test_labels_that_fit_no_box_are_pointed_out(tmp_path, capsys):
     np.savez("cloud.npz", xyz=np.zeros((2, 3)), vehicle_id=np.array([8, -1]))
     _, err = done(capsys, "score", "--points", "cloud.npz", "--boxes", boxes)
     assert err.startswith("blender-lidar: note: cloud.npz: none of its vehicles is among the boxes of frame 0 in ")
-
-
-def test_the_clouds_header_tells_how_it_was_made(tmp_path, capsys):
-    run(capsys, "scan", write_scene(tmp_path), "--frame", 30, *MOUNT, "--out", "cloud.npz")
-    with np.load("cloud.npz") as content:
-        header = json.loads(str(content["header"]))
-    assert (header["sensor"], header["frame"], header["caster"]) == ("RS-16", 30, CASTER)
-    assert (header["pose"]["tilt_x_deg"], len(header["ring_elevation_deg"])) == (12.5, 16)
-
-
-def test_the_scene_of_an_evaluation_is_a_scene(tmp_path, capsys):
-    run(capsys, "evaluate", write_scene(tmp_path), *MOUNT, "--out", "run")
-    assert tomllib.loads(Path("run/scene.toml").read_text())["deployment"]["height_m"] == [2.0, 4.5]
-    assert run(capsys, "optimise", "run/scene.toml", "--out", "again")[0] == 0

@@ -76,7 +76,10 @@ def test_a_pcd_file_is_what_pypcd4_reads(tmp_path, cloud):
     assert content.points == len(cloud)
     np.testing.assert_allclose(content.numpy(("x", "y", "z")).reshape(-1, 3), cloud.xyz, atol=1e-5)
     np.testing.assert_array_equal(content.numpy(("ring",)).ravel(), cloud.ring)
-    np.testing.assert_array_equal(content.numpy(("vehicle_id",)).ravel(), cloud.vehicle_id)
+    for name, column in (("vehicle_id", cloud.vehicle_id), ("class", cloud.class_index)):
+        np.testing.assert_array_equal(content.numpy((name,)).ravel(), column)
+    comment = (tmp_path / "cloud.pcd").read_bytes().split(b"\n")[1]
+    assert json.loads(comment.removeprefix(b"# ")) == HEADER
     np.testing.assert_allclose(content.numpy(("timestamp",)).ravel(), cloud.time_s)
 
 
@@ -120,7 +123,9 @@ def test_the_levelled_frame_looks_along_the_lidars_y_axis_and_turns_with_its_yaw
     np.testing.assert_allclose(levelled(left, turned), [[10.0, 0.0, 0.0]], atol=1e-12)
 
 
-@pytest.mark.parametrize(("suffix", "largest"), [(".ply", 2**31 - 1), (".las", 2**31 - 1), (".bin", 2**16 - 1)])
+@pytest.mark.parametrize(
+    ("suffix", "largest"), [(".ply", 2**31 - 1), (".pcd", 2**31 - 1), (".las", 2**31 - 1), (".bin", 2**16 - 1)]
+)
 def test_an_id_that_a_format_cannot_hold_is_refused_and_nothing_is_left(tmp_path, suffix, largest):
     if suffix == ".las":
         pytest.importorskip("laspy")

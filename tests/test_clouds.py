@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -109,19 +108,9 @@ def refusal(path):
     [
         ({"points": np.zeros((2, 3))}, "has no array 'xyz'; it has points"),
         ({"xyz": np.zeros((2, 4))}, "xyz has shape (2, 4); allowed: (n, 3)"),
-        ({"xyz": np.zeros(3)}, "xyz has shape (3,); allowed: (n, 3)"),
         ({"xyz": np.zeros((2, 3)), "vehicle_id": np.zeros(3)}, "vehicle_id has shape (3,); allowed: (2,)"),
         ({"xyz": np.zeros((2, 3)), "vehicle_id": np.array([1, np.nan])}, "vehicle_id is nan; allowed: whole numbers"),
-        ({"xyz": np.zeros((2, 3)), "vehicle_id": np.array([1.5, 1])}, "vehicle_id is 1.5; allowed: whole numbers"),
-        ({"xyz": np.zeros((1, 3)), "vehicle_id": np.array([1e30])}, "vehicle_id is 1e+30; allowed: whole numbers"),
-        (
-            {"xyz": np.zeros((1, 3)), "vehicle_id": np.array([2**63], dtype=np.uint64)},
-            f"vehicle_id is {2**63}; allowed: whole numbers",
-        ),
-        (
-            {"xyz": np.zeros((1, 3)), "vehicle_id": np.array(["7"])},
-            "vehicle_id is of type <U1; allowed: whole numbers",
-        ),
+        ({"xyz": np.zeros((1, 3)), "vehicle_id": np.array(["7"])}, "vehicle_id is of type <U1; allowed: whole numbers"),
         ({"xyz": np.array([["a", "b", "c"]])}, "xyz is of type <U1; allowed: numbers"),
         ({"xyz": np.array([[None, 1, 2]], dtype=object)}, "is not a readable NPZ file"),
     ],
@@ -136,11 +125,7 @@ def test_a_damaged_npz_file_is_refused_in_one_line(tmp_path):
     path = tmp_path / "cloud.npz"
     write_cloud(path, CLOUD, HEADER)
     whole = path.read_bytes()
-    np.save(tmp_path / "array.npy", np.zeros((2, 3)))
-    with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
-        archive.writestr("xyz.npy", "no array")
-    contents = [b"", b"\0" * 100, os.urandom(500), (tmp_path / "array.npy").read_bytes()]
-    contents += [(tmp_path / "other.zip").read_bytes(), whole[:-30], whole[: len(whole) // 2]]
+    contents = [b"", b"\0" * 100, whole[: len(whole) // 2]]
     for content in contents:
         path.write_bytes(content)
         assert refusal(path)
@@ -157,35 +142,6 @@ def test_a_file_that_is_missing_a_folder_or_of_another_kind_is_refused(tmp_path)
     for name in ("cloud", "cloud.e57", ".npz"):
         with pytest.raises(InputError, match=r"^--out: .*unknown cloud format"):
             check_cloud_name(tmp_path / name, "--out")
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_file_that_may_not_be_opened_is_one_line(tmp_path, monkeypatch, suffix):
-    path = tmp_path / f"cloud{suffix}"
-    write_cloud(path, EMPTY, HEADER)
-
-    def refuse(*_, **__):
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "open", refuse)
-    monkeypatch.setattr("builtins.open", refuse)
-    monkeypatch.setattr(os, "open", refuse)
-    assert refusal(path) == "cannot be read: Permission denied"
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_cloud_that_cannot_be_written_leaves_the_old_file_and_nothing_else(tmp_path, suffix, monkeypatch):
-    path = tmp_path / f"cloud{suffix}"
-    path.write_bytes(b"old")
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OutputError, match="cannot be written: No space left on device"):
-        write_cloud(path, CLOUD, HEADER)
-    assert path.read_bytes() == b"old"
-    assert files(tmp_path) == [path.name]
 
 
 @pytest.mark.parametrize("failure", [ValueError("no"), KeyboardInterrupt(), OSError(5, "Input/output error")])
@@ -226,17 +182,6 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
         assert str(error.value).startswith(f"{path}: cannot be written: ")
         assert "\n" not in str(error.value)
     assert files(tmp_path) == ["file", "folder.npz"]
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="has no named pipes")
-def test_what_is_no_plain_file_is_not_replaced_by_one(tmp_path):
-    pipe = tmp_path / "pipe.csv"
-    os.mkfifo(pipe)
-    with pytest.raises(OutputError) as error:
-        write_text(pipe, "x")
-    assert str(error.value) == f"{pipe}: cannot be written: is there and is not a regular file"
-    assert pipe.is_fifo()
-    assert files(tmp_path) == ["pipe.csv"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no limits on the size of files")

@@ -12,7 +12,6 @@ import sys
 import textwrap
 import threading
 import time
-import warnings
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -31,7 +30,7 @@ from blender_lidar.studies.variations import metric_variations
 from tests.local_cluster import ROOT, LocalCluster
 from tests.sample_traffic import counted_frames
 from tests.small_scene import CASTER, MAPPED, cli, done, without_charts, without_times, write_scene
-from tests.test_evaluation import POSES, SCORING, SEEN
+from tests.test_evaluation import LAYOUTS, SCORING, SEEN
 from tests.waiting import WAIT_S, wait_for
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed, of the extra cluster, is not installed")
@@ -102,35 +101,31 @@ def check_same_run(mine, whole):
         assert (mine / file).read_bytes() == (whole / file).read_bytes()
 
 
-@pytest.mark.parametrize("place", ["pair", "cluster"])
-def test_a_run_comes_to_the_same_to_the_last_digit_here_with_two_processes_and_on_a_cluster(
-    cluster, whole, tmp_path, capsys, monkeypatch, place
-):
+def test_a_run_comes_to_the_same_to_the_last_digit_here_and_on_a_cluster(cluster, whole, tmp_path, capsys, monkeypatch):
     without_charts(monkeypatch)
-    words = ("--workers", 2) if place == "pair" else ("--cluster", cluster.address)
-    out, _ = done(capsys, "optimise", whole[0], "--out", tmp_path / "run", *words)
-    assert ("2 workers" if place == "pair" else f"cluster {cluster.address}") in out
+    out, _ = done(capsys, "optimise", whole[0], "--out", tmp_path / "run", "--cluster", cluster.address)
+    assert f"cluster {cluster.address}" in out
     check_same_run(tmp_path / "run", whole[1])
 
 
 def test_scores_are_the_same_bits_with_trees_new_and_kept_and_nothing_is_left_behind(cluster):
     with Evaluator(FRAMES, SEEN_HERE, SCORING) as here:
-        alone = here.totals(POSES)
+        alone = here.totals(LAYOUTS)
     with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=cluster.address) as evaluator:
         for _ in range(3):
-            for mine, theirs in zip(evaluator.totals(POSES), alone, strict=True):
+            for mine, theirs in zip(evaluator.totals(LAYOUTS), alone, strict=True):
                 assert mine.dtype == theirs.dtype
                 assert mine.tobytes() == theirs.tobytes()
-        np.testing.assert_array_equal(evaluator.totals(POSES[:1]).objective, alone.objective[:1])
+        np.testing.assert_array_equal(evaluator.totals(LAYOUTS[:1]).objective, alone.objective[:1])
         wait_for(lambda: kept(cluster).count("loads") == 2)
     wait_for(lambda: not kept(cluster))
     with Evaluator([], SEEN_HERE, SCORING, cluster=cluster.address) as evaluator:
-        assert evaluator.totals(POSES).objective.shape == (3, 0)
+        assert evaluator.totals(LAYOUTS).objective.shape == (3, 0)
 
 
 def test_a_study_of_stability_goes_through_the_same_door(cluster, tmp_path):
     site = prepare(load_scenario(write_scene(tmp_path)))
-    jobs = [Job(one, tuple(POSES), split) for one in metric_variations(site)[:2] for split in ("searched", HELD_OUT)]
+    jobs = [Job(one, tuple(LAYOUTS), split) for one in metric_variations(site)[:2] for split in ("searched", HELD_OUT)]
     there = replace(site, scenario=replace(site.scenario, model=replace(site.scenario.model, cluster=cluster.address)))
     counted = []
     for mine, theirs in zip(landscapes(site, jobs), landscapes(there, jobs, counted.append), strict=True):
@@ -326,13 +321,6 @@ def test_threads_that_would_be_idle_are_told_and_get_in_nobodys_way(tmp_path):
             workers = ClusterWorkers(square, threaded.address)
         with closing(workers):
             assert squares(workers) == SQUARES
-
-
-def test_workers_that_are_alike_are_no_reason_for_a_note(cluster):
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        ClusterWorkers(abs, cluster.address).close()
-    assert [note.message for note in told if issubclass(note.category, UserWarning)] == []
 
 
 def fails(how):

@@ -15,7 +15,7 @@ import pytest
 
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.report import figure as canvas
-from blender_lidar.report.cloud_figures import Found, plot_clouds, plot_detections, plot_occupancy
+from blender_lidar.report.cloud_figures import plot_clouds, plot_detections, plot_occupancy
 from blender_lidar.report.run_figures import (
     FEWEST_VEHICLES,
     plot_blind_zones,
@@ -23,29 +23,27 @@ from blender_lidar.report.run_figures import (
     plot_convergence,
     plot_score_map,
 )
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.straight import road_map
 from blender_lidar.scene.settings import ZoneSettings
 from tests.chart_samples import (
     CHARTS,
     ROAD,
+    STRAIGHT,
     chart_arguments,
-    cloud,
     detections,
     grey_pixels,
     history,
-    lightness,
     mount,
     occupancy,
-    outcome,
+    run_of,
     score_map,
     scores,
     sights,
     table,
     vehicles,
-    with_tables,
     words,
 )
-from tests.small_scene import done, mounting, write_scene
+from tests.small_scene import done, write_scene
 
 pytest.importorskip("matplotlib", reason="charts need matplotlib")
 
@@ -129,7 +127,7 @@ def test_headings_legend_and_panels_do_not_cover_each_other(name, drawn):
 
 def test_convergence_leaves_out_candidates_without_a_value(tmp_path, figures):
     tried = np.array([[1.0, np.nan, np.nan], [2.0, -np.inf, np.nan], [3.0, 0.6, 0.6]])
-    plot_convergence(tmp_path / "c.png", outcome(vehicles=2, baseline=scores(0.1, 2, 0)), tried)
+    plot_convergence(tmp_path / "c.png", run_of(vehicles=2, baseline=scores(0.1, 2, 0)), tried)
     dots = next(line for line in figures[0].axes[0].lines if line.get_label() == "one candidate")
     np.testing.assert_array_equal(dots.get_xdata(), [3.0])
     np.testing.assert_array_equal(dots.get_ydata(), [0.3])
@@ -139,7 +137,7 @@ def test_convergence_leaves_out_candidates_without_a_value(tmp_path, figures):
 
 def over_tolerance(**changes):
     """What a search over a tolerance came to: the robust mounting at 3 m, the sharp one at the top of the map."""
-    return outcome(
+    return run_of(
         **scores(0.7, 3.0, 10.0),
         tolerance={"sharp": scores(0.8, 4.0, 20.0), "robust": {"baseline": scores(0.05, 2.0, 0.0)}},
         **changes,
@@ -168,13 +166,13 @@ def test_the_score_map_outlines_the_mountings_near_the_best(tmp_path, figures, m
         return contour(*args, **keywords)
 
     monkeypatch.setattr(Axes, "contour", note)
-    plot_score_map(tmp_path / "m.png", outcome(), score_map())
+    plot_score_map(tmp_path / "m.png", run_of(), score_map())
     assert levels[-1] == [pytest.approx(0.8 - 0.01 * (0.8 - 0.2))]
     assert "within 1 % of the gain" in words(figures[0])
 
 
 def test_the_score_map_marks_a_mounting_off_the_map_at_its_edge(tmp_path, figures):
-    plot_score_map(tmp_path / "m.png", outcome(baseline=scores(0.2, 1.5, -5.0)), score_map())
+    plot_score_map(tmp_path / "m.png", run_of(baseline=scores(0.2, 1.5, -5.0)), score_map())
     marker = next(line for line in figures[0].axes[0].lines if "baseline" in line.get_label())
     assert (marker.get_xdata()[0], marker.get_ydata()[0]) == (0.0, 2.0)
     assert "baseline: 1.50 m, -5.0°, off the map" in words(figures[0])
@@ -186,14 +184,14 @@ def test_the_score_map_marks_a_mounting_off_the_map_at_its_edge(tmp_path, figure
 )
 def test_the_score_map_copes_with_flat_and_steep_maps(values, best, text, tmp_path, figures):
     landscape = score_map() if values is None else replace(score_map(), per_vehicle=values)
-    plot_score_map(tmp_path / "m.png", outcome(objective_per_vehicle=best), landscape)
+    plot_score_map(tmp_path / "m.png", run_of(objective_per_vehicle=best), landscape)
     assert text in words(figures[0])
 
 
 def test_bands_with_few_vehicles_are_hollow_and_not_averaged(tmp_path, figures):
     distance = np.repeat([5.0, 15.0, 25.0], [FEWEST_VEHICLES, FEWEST_VEHICLES - 1, 30])
     few = {"distance_m": distance, "detectable": np.ones(39), "entropy_bits": np.full(39, 0.5)}
-    plot_by_distance(tmp_path / "d.png", with_tables(few))
+    plot_by_distance(tmp_path / "d.png", run_of(few))
     share, entropy, count = figures[0].axes
     for axes in (share, entropy):
         for line in axes.lines:
@@ -202,25 +200,10 @@ def test_bands_with_few_vehicles_are_hollow_and_not_averaged(tmp_path, figures):
     assert filled == {5: True, 15: False, 25: True}
 
 
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(("plot", "more"), [(plot_by_distance, ()), (plot_blind_zones, (ROAD,))])
-def test_a_run_without_vehicles_says_so(plot, more, tmp_path, figures):
-    plot(tmp_path / "chart.png", with_tables(table(0, 0)), *more)
-    assert "no vehicles" in words(figures[0])
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("number", [1, FEWEST_VEHICLES, 40])
-def test_one_band_and_unknown_entropies_are_drawn(number, tmp_path, figures):
-    unknown = table(1, number) | {"distance_m": np.full(number, 3.0), "entropy_bits": np.full(number, np.nan)}
-    plot_by_distance(tmp_path / "d.png", with_tables(unknown))
-    assert figures[0].axes[-1].get_xlim() == (0.0, 10.0)
-
-
 @pytest.mark.parametrize("name", ["sum-of-views", "ap-entropy"])
 def test_charts_of_scores_say_the_metric_and_its_unit_and_have_room_for_it(name, tmp_path, figures):
     metric = METRICS[name]
-    run = with_tables(table(1) | {"metric_value": metric.merit(np.full(200, 2.0))}, metric=name)
+    run = run_of(table(1) | {"metric_value": metric.merit(np.full(200, 2.0))}, metric=name)
     for plot, more in ((plot_by_distance, ()), (plot_convergence, (history(),)), (plot_score_map, (score_map(),))):
         plot(tmp_path / "c.png", run, *more)
     by_distance, convergence, landscape = figures
@@ -242,7 +225,7 @@ def test_charts_of_scores_say_the_metric_and_its_unit_and_have_room_for_it(name,
 def test_a_share_is_drawn_in_per_cent_and_weighed(tmp_path, figures):
     split = np.where(np.arange(200) < 150, "search", "holdout")
     weighed = table(1) | {"metric_value": np.ones(200), "weight": np.full(200, 2.0), "split": split}
-    run, rows = with_tables(weighed, metric="detectable"), history()
+    run, rows = run_of(weighed, metric="detectable"), history()
     plot_by_distance(tmp_path / "d.png", run)
     plot_convergence(tmp_path / "c.png", run, rows)
     plot_score_map(tmp_path / "m.png", run, score_map())
@@ -256,14 +239,14 @@ def test_a_share_is_drawn_in_per_cent_and_weighed(tmp_path, figures):
 
 def test_blind_zones_darken_where_vehicles_are_missed(tmp_path):
     for name, value in (("seen", True), ("missed", False)):
-        run = with_tables(table(1, 400) | {"detectable": np.full(400, value)})
+        run = run_of(table(1, 400) | {"detectable": np.full(400, value)})
         plot_blind_zones(tmp_path / f"{name}.png", run, ROAD)
     assert grey_pixels(tmp_path / "seen.png").mean() > grey_pixels(tmp_path / "missed.png").mean() + 0.2
 
 
 def test_blind_zones_outline_the_zones_that_have_weights(tmp_path, figures):
     zone = ZoneSettings(name="conflict area", polygon_m=((0.0, 5.0), (20.0, 5.0), (20.0, 9.0)), weight=3.0)
-    plot_blind_zones(tmp_path / "b.png", with_tables(table(1, 400)), ROAD, [zone])
+    plot_blind_zones(tmp_path / "b.png", run_of(table(1, 400)), ROAD, [zone])
     for axes in figures[0].axes[:2]:
         assert "conflict area x 3" in [text.get_text() for text in axes.texts]
         outlines = [line.get_xydata() for line in axes.lines if line.get_label() == "zone x weight"]
@@ -275,8 +258,8 @@ def test_blind_zones_use_whole_lanes_and_one_scale_and_hold_every_vehicle(tmp_pa
 
     beside = table(1)
     beside["y_m"] = np.append(beside["y_m"][:-1], -4.0)
-    run = with_tables(beside, deployment=mount(4.0, x_m=3.0, y_m=1.0))
-    plot_blind_zones(tmp_path / "b.png", run, road_map(StraightRoad(lanes=5, lane_width_m=3.6)))
+    run = run_of(beside, deployment=mount(4.0, x_m=3.0, y_m=1.0))
+    plot_blind_zones(tmp_path / "b.png", run, road_map(replace(STRAIGHT, lane_width_m=3.6)))
     meshes = [mesh for axes in figures[0].axes[:2] for mesh in axes.findobj(QuadMesh)]
     for mesh in meshes:
         assert mesh.get_clim() == (0.0, 100.0)
@@ -314,12 +297,6 @@ def test_clouds_count_what_they_show(tmp_path, figures):
         assert text in words(figures[0])
 
 
-@pytest.mark.filterwarnings("error")
-def test_clouds_without_points_or_vehicles_are_drawn(tmp_path, figures):
-    plot_clouds(tmp_path / "c.png", vehicles(1, 0), sights(np.zeros(0, dtype=bool), number=0))
-    assert "0 of 0 vehicles detectable, 0 points on vehicles" in words(figures[0])
-
-
 def test_detections_tell_hits_from_false_alarms_and_count_them(tmp_path, figures):
     from matplotlib.collections import LineCollection, PolyCollection
 
@@ -342,16 +319,6 @@ def test_detections_tell_hits_from_false_alarms_and_count_them(tmp_path, figures
     assert box.width / np.ptp(axes.get_xlim()) == pytest.approx(box.height / np.ptp(axes.get_ylim()), rel=1e-9)
 
 
-@pytest.mark.filterwarnings("error")
-def test_nothing_found_of_no_vehicles_is_drawn(tmp_path, figures):
-    shown = detections()
-    frame = replace(shown["frame"], vehicles=vehicles(1, 0), counted=np.zeros(0, dtype=bool))
-    boxes = shown["found"][0].boxes.select(np.zeros(7, dtype=bool))
-    found = Found("Given", mounting(mount(3.0)), cloud(1, 0), boxes, np.zeros(0, int), np.zeros(0, dtype=bool))
-    plot_detections(tmp_path / "d.png", frame, [found])
-    assert "0 of 0 vehicles found, 0 false alarms" in words(figures[0])
-
-
 def test_occupancy_states_p_and_entropy_of_each_view(tmp_path, figures):
     arguments = occupancy(0.02, 0.1)
     plot_occupancy(tmp_path / "o.png", **arguments)
@@ -363,18 +330,6 @@ def test_occupancy_states_p_and_entropy_of_each_view(tmp_path, figures):
             total -= p * math.log2(p)
             assert f"P = {p:.4f}, adds {-p * math.log2(p):.3f} bits" in text, view
         assert f"PE-VGOP {total:.3f} bits" in text
-
-
-def test_occupied_cells_darken_their_area_on_paper(tmp_path):
-    truck = (16.0, 2.5, 3.8)  # its cells are too small on paper for outlines
-    headings = {"headings": ["", ""], "title": "", "subtitle": ""}
-    for name, share in (("empty", 0.0), ("half", 0.5)):
-        plot_occupancy(tmp_path / f"{name}.png", **{**occupancy(share, share, truck), **headings})
-    darkening = (grey_pixels(tmp_path / "empty.png") - grey_pixels(tmp_path / "half.png")).sum()
-    darkening /= (1.0 - lightness(canvas.OPTIMISED_LOOK["color"])[0]) * (canvas.DPI / canvas.MM_PER_INCH) ** 2
-    length, width, height = truck
-    views_mm2 = 2.0 * (length * width + length * height + width * height) * (79.0 / length) ** 2
-    assert darkening == pytest.approx(0.5 * views_mm2, rel=0.05)
 
 
 def test_an_unseen_vehicle_adds_zero_bits_and_not_minus_zero(tmp_path, figures):

@@ -30,7 +30,7 @@ def one_line(error: BlenderLidarError) -> str:
 def test_a_folder_that_is_no_run_is_refused(tmp_path):
     for place in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(MissingFileError, match="is not the folder of a run") as caught:
-            write_report(RunFolder(place).read_outcome())
+            write_report(RunFolder(place))
         assert str(place) in one_line(caught.value)
     assert not list(tmp_path.iterdir())
 
@@ -82,7 +82,7 @@ def test_a_page_that_cannot_be_written_is_one_line(folder):
     folder.file("report.html").unlink()
     folder.file("report.html").mkdir()
     with pytest.raises(OutputError, match=r"report\.html: cannot be written") as caught:
-        write_report(folder.read_outcome())
+        write_report(RunFolder(folder.path))
     one_line(caught.value)
 
 

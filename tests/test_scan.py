@@ -173,16 +173,6 @@ def test_time_is_that_of_the_firing_column_and_the_ring(sensor):
     assert cloud.time_s.max() < 1.01 * turn_s
 
 
-@POSES
-def test_intensity_and_incidence_stay_in_their_range(pose):
-    cloud = cloud_of(pose=pose)
-    assert (cloud.intensity >= 0.0).all()
-    assert (cloud.intensity <= 1.0).all()
-    assert cloud.intensity.max() > 0.1
-    assert (cloud.incidence_rad >= 0.0).all()
-    assert (cloud.incidence_rad <= 0.5 * math.pi).all()
-
-
 def test_nothing_is_nearer_than_the_least_or_farther_than_the_greatest_range():
     whole = cloud_of(max_range_m=60.0)
     part = cloud_of(min_range_m=9.0, max_range_m=21.0)
@@ -218,10 +208,3 @@ def test_a_frame_without_anything_in_range_is_an_empty_cloud_with_the_right_colu
 def test_a_sensor_that_is_not_above_the_ground_is_refused(height):
     with pytest.raises(InputError, match=r"m above the ground; allowed: more than 0 m"):
         cloud_of(pose=Pose(height_m=height))
-
-
-def test_the_traffic_is_left_as_it_was():
-    vehicles = dense_traffic(vehicles=5, length_m=20.0)
-    for name in ("vehicle_id", "class_index", "centre_m", "size_m", "heading_rad"):
-        getattr(vehicles, name).flags.writeable = False
-    assert len(cloud_of(vehicles)) > 100

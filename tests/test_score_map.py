@@ -77,16 +77,6 @@ def test_every_point_of_the_grid_has_its_own_value():
     assert score_map.block_vehicles.tolist() == [7, 25, 40]
 
 
-def test_the_best_point_is_that_of_a_loop_over_the_grid():
-    score_map = mapped(Hill(tops_about(3.4, 12.0, 0.3, 5), [10, 30, 20, 5, 7]))
-    best = max(
-        (score_map.per_vehicle[row, column], height, tilt)
-        for row, height in enumerate(score_map.height_m)
-        for column, tilt in enumerate(score_map.tilt_deg)
-    )
-    assert score_map.best == (best[1], best[2], best[0])
-
-
 def test_progress_counts_every_point_once():
     told = []
     map_scores(Hill([(3.0, 10.0)]), SPACE, OPTIMUM, np.zeros(1, dtype=int), told.append)

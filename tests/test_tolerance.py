@@ -13,7 +13,6 @@ from blender_lidar.optimise import make_search, run
 from blender_lidar.run.tolerance import (
     JUDGED_BASE,
     SEARCHED_BASE,
-    aimed,
     best_over_tolerance,
     installation_errors,
     installed,
@@ -147,11 +146,6 @@ def test_the_low_aim_is_what_nine_of_ten_errors_reach(base, most):
     assert (values < found).mean() == pytest.approx(0.1, abs=most)
 
 
-def test_the_low_aim_of_evenly_spread_values_is_their_tenth():
-    assert aimed((np.arange(121) + 0.5) / 121, "low") == pytest.approx(0.1)
-    assert aimed((np.arange(25) + 0.5) / 25, "low") == pytest.approx(0.1)
-
-
 @given(st.floats(0.0, 3.0), st.floats(0.0, 0.4))
 def test_a_symmetric_landscape_keeps_its_optimum(tilt, height):
     def cone(at):
@@ -190,11 +184,6 @@ def test_the_sharp_search_takes_the_spike_and_the_robust_one_the_hill(aim):
     assert found["robust"] == pytest.approx(18.0, abs=0.3)
     plans = [plan(found[name]) for name in ("sharp", "robust")]
     assert best_over_tolerance(landscape, plans, tolerance) is plans[1]
-
-
-def test_of_equals_the_first_is_the_best_over_the_tolerance():
-    plans = [(mounting(PLAN),), (mounting(PLAN),)]
-    assert best_over_tolerance(Landscape(bumpy), plans, TOLERANCE) is plans[0]
 
 
 def test_all_errors_of_all_plans_are_scored_in_one_call():
@@ -240,12 +229,6 @@ def test_each_error_has_the_score_that_its_mounting_has_alone(site, losses):
     assert losses.installed.totals.per_vehicle().std() > 0.0
 
 
-def test_counting_each_block_once_changes_nothing(site, losses):
-    once = np.ones((1, len(np.unique(site.plan.search_block))))
-    assert losses.installed.per_vehicle_under(once)[0] == pytest.approx(losses.installed.per_vehicle)
-    assert losses.planned.per_vehicle_under(once)[0] == pytest.approx(losses.planned.per_vehicle)
-
-
 def test_the_interval_of_a_mean_is_that_of_the_mean_mounting(losses):
     mean = block_sums(losses.installed.totals.objective, losses.installed.block).mean(axis=0)
     found = statistic_interval_90(losses.installed.per_vehicle_under, losses.installed.block_weight, 3)
@@ -269,8 +252,3 @@ def test_the_interval_of_a_ratio_is_the_same_either_way_empty_blocks_or_not():
     found = statistic_interval_90(lambda weights: weights @ values / (weights @ vehicles), vehicles, 5)
     assert found == pytest.approx(ratio_interval_90(values, vehicles, 5), rel=1e-12)
     assert statistic_interval_90(lambda weights: weights @ values, np.array([1, 0, 0, 2, 0, 0, 0]), 5) is None
-
-
-def test_blocks_are_those_of_the_frames():
-    objective = np.array([[1.0, 2.0, 4.0]])
-    assert block_sums(objective, np.array([7, 7, 2])).tolist() == [[4.0, 3.0]]

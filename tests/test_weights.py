@@ -94,7 +94,7 @@ def run(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         without_charts(patch)
         assert main(["optimise", str(scene), "--out", str(folder / "run")]) == 0
-    return RunFolder(folder / "run").read_outcome(), prepare(load_scenario(scene))
+    return RunFolder(folder / "run"), prepare(load_scenario(scene))
 
 
 def scores(table, chosen):

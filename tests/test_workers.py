@@ -10,7 +10,6 @@ import textwrap
 import time
 from functools import partial
 from pathlib import Path
-from statistics import median
 
 import pytest
 
@@ -92,15 +91,6 @@ def test_what_nobody_asks_for_any_more_is_not_begun(noting, tmp_path):
     results.close()
     noting.map([tmp_path] * 2, (40, 41))
     assert len(list(tmp_path.iterdir())) < 12
-
-
-def test_of_a_study_that_is_stopped_nearly_all_that_was_done_had_been_handed_over(noting, tmp_path):
-    """Each process may be at work on one, and one more may wait at hand.
-
-    Not at every moment: while the machine keeps one process from its call, the other one goes on.
-    """
-    results = noting.each([tmp_path] * 30, range(30))
-    assert median(len(list(tmp_path.iterdir())) - given for given, _ in enumerate(results, start=1)) <= 4
 
 
 @pytest.mark.parametrize("work", [1, 6, 700])

@@ -74,7 +74,7 @@ def main(order: str, folder: str) -> int:
         site = prepare(scenario, scenery=given["scenery"])
         with RunFolder(folder).locked() as run:
             optimise_site(site, run, _Listener())
-            write_pages(site, run.read_outcome(), lambda note: None)
+            write_pages(site, run, lambda note: None)
     except BlenderLidarError as error:
         tell("problem", problem=" ".join(str(error).split()))
         return 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from ..world.shapes import DETAILS
 from .options import given_options, new_folder
 from .parsers import CompareOptions
 from .progress import Progress
+from .report import note, say_result
 
 COMPARE_SCHEMA = 3
 RESULT, TABLE, PICTURE = "compare.json", "compare.csv", "compare.png"
@@ -69,14 +69,9 @@ def run(args: argparse.Namespace) -> int:
         draw_comparison(folder / PICTURE, found.table, result)
         written.append(PICTURE)
     except MissingExtraError as error:
-        print(f"blender-lidar: note: no picture: {error}", file=sys.stderr)
-    text = json.dumps(result, indent=2, allow_nan=False)
-    write_text(folder / RESULT, text + "\n")
-    out = sys.stderr if asked.json else sys.stdout
-    print(f"{comparison_text(result)}\n\nResults in {folder}: {', '.join(written)}", file=out, flush=True)
-    if asked.json:
-        print(text)
-    return 0
+        note(f"no picture: {error}")
+    write_text(folder / RESULT, json.dumps(result, indent=2, allow_nan=False) + "\n")
+    return say_result(args, f"{comparison_text(result)}\n\nResults in {folder}: {', '.join(written)}", result)
 
 
 def setup_of(asked: CompareOptions) -> Setup:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from contextlib import ExitStack, closing
 from dataclasses import asdict
 from pathlib import Path
@@ -13,13 +12,14 @@ from ..detection.dataset_files import DatasetFolder
 from ..detection.judge import watched
 from ..errors import InputError
 from ..names import DATASET_LAYOUTS
-from ..report.summary import as_sentence, warnings_text
+from ..report.summary import as_sentence
 from ..scene.site import Site, prepare
 from ..scoring.evaluation import workplace_of
 from ..toml_table import settings_of
 from .options import default_folder, given_options, scenario_from
 from .parsers import DatasetOptions
 from .progress import Progress
+from .report import say_result
 
 
 def run(args: argparse.Namespace) -> int:
@@ -45,8 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
         workers = workplace_of(scenario.model).processes
         result = folder.write(plan, layouts, identity, _about(site, plan, layouts), workers, progress)
-    print(json.dumps(result, indent=2) if args.json else _summary(result, folder.path))
-    return 0
+    return say_result(args, _summary(result, folder.path), result)
 
 
 def _layouts(asked: DatasetOptions) -> tuple[str, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -50,7 +49,7 @@ from ..toml_table import settings_of
 from ..traffic.boxes import DetectedBoxes
 from .options import default_folder, given_options, mounting_from, new_folder, scenario_from
 from .progress import Progress
-from .report import table_text
+from .report import note, say_result, table_text
 
 _PICTURE = "detections.png"
 _OURS = (DETECTION, _PICTURE, "detections.csv", "detections_baseline.csv", "label_2", "label_2_baseline")
@@ -80,12 +79,9 @@ def _folder(args: argparse.Namespace, default: Callable[[], Path]) -> Path:
 
 def _print(args: argparse.Namespace, folder: Path, result: Mapping, judged: str) -> int:
     """Print what was found in what was `judged`; returns the exit code."""
-    if args.json:
-        print(json.dumps(result, indent=2))
-        return 0
-    print("\n".join([*warnings_text(result), f"Detector   {args.detector}; {judged}\n"]))
-    print("\n\n".join([detection_summary(result), f"Results in {folder}", *map(as_sentence, result["notes"])]))
-    return 0
+    heading = "\n".join([*warnings_text(result), f"Detector   {args.detector}; {judged}"])
+    parts = [heading, detection_summary(result), f"Results in {folder}", *map(as_sentence, result["notes"])]
+    return say_result(args, "\n\n".join(parts), result)
 
 
 def check_detector(detector: str) -> None:
@@ -152,7 +148,7 @@ def judge_at(site: Site, mounting: Mounting, detector: str, folder: Path) -> dic
     try:
         draw_detections(folder / _PICTURE, site, detector, judged, mounts)
     except MissingExtraError as error:
-        print(f"blender-lidar: note: no picture: {error}", file=sys.stderr)
+        note(f"no picture: {error}")
     return result
 
 

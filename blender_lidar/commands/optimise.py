@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 from collections.abc import Callable
 
 from ..errors import InputError, MissingExtraError
@@ -12,14 +10,14 @@ from ..files import write_text
 from ..metrics.catalogue import metric_named
 from ..report.installation import installation_text
 from ..report.page import write_report
-from ..run.folder import INSTALLATION, Outcome, RunFolder
+from ..run.folder import INSTALLATION, RunFolder
 from ..run.optimise import ended_search, evaluate_site, optimise_site
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
 from .options import default_folder, mounting_from, scenario_from
 from .progress import RunProgress
-from .report import describe_site, files, outcome_text
+from .report import describe_site, files, note, outcome_text, say, say_result, say_stopped
 
 # --- Where a run's results go, and how they are printed: what the verbs that leave a folder share ------------
 
@@ -37,41 +35,33 @@ def folder_from(args: argparse.Namespace, scenario: Scenario) -> RunFolder:
     return folder
 
 
-def write_pages(site: Site, run: Outcome, note: Callable[[str], object]) -> list[str]:
-    """Write installation sheet, charts and page of a run that has ended; `note` is called with what is left out.
+def write_pages(site: Site, run: RunFolder, tell: Callable[[str], object]) -> list[str]:
+    """Write the installation sheet, charts and page of a run that has ended; `tell` is called with what is left out.
 
     Returns the names of the charts.
     """
     charts = []
-    write_text(run.folder.file(INSTALLATION), installation_text(site, run.result))
+    write_text(run.file(INSTALLATION), installation_text(site, run.result))
     try:
         from ..report.run_figures import draw_charts
 
         charts = draw_charts(site, run)
     except MissingExtraError as error:
-        note(f"no charts: {error}")
+        tell(f"no charts: {error}")
     write_report(run)
     return charts
 
 
-def report(args: argparse.Namespace, site: Site, folder: RunFolder) -> int:
+def report(args: argparse.Namespace, site: Site, run: RunFolder) -> int:
     """Of a run that has ended write all that it leaves, and print what was found."""
-    run, found = folder.read_outcome(), ""
+    found = ""
     if args.detector is not None:
         from .detect import detection_summary, judge_at
 
         mounting = site.scenario.mounting(run.result["deployment"])
-        found = "\n\n" + detection_summary(judge_at(site, mounting, args.detector, folder.path))
-    charts = write_pages(site, run, lambda text: print(f"blender-lidar: note: {text}", file=sys.stderr))
-    say(args, outcome_text(run, files(folder, charts)) + found)
-    if args.json:
-        print(json.dumps(run.result, indent=2))
-    return 0
-
-
-def say(args: argparse.Namespace, text: str) -> None:
-    """Print for people: on stderr where stdout is for JSON."""
-    print(text, file=sys.stderr if args.json else sys.stdout, flush=True)
+        found = "\n\n" + detection_summary(judge_at(site, mounting, args.detector, run.path))
+    charts = write_pages(site, run, note)
+    return say_result(args, outcome_text(run, files(run, charts)) + found, run.result)
 
 
 def _check_detector(args: argparse.Namespace) -> None:
@@ -95,9 +85,8 @@ def run_optimise(args: argparse.Namespace) -> int:
         )
     folder = folder_from(args, scenario)
     site = prepare(scenario)
-    with folder.locked():
-        folder.check(resume=args.resume)  # again: another run may have come first
-        say(args, describe_site(site, verbose=args.verbose) + "\n")
+    with folder.begun(resume=args.resume):
+        say(args, describe_site(site) + "\n")
         done = ended_search(site, folder, lambda text: say(args, f"{text}.\n")) if args.resume else None
         try:
             if done is None:
@@ -106,8 +95,7 @@ def run_optimise(args: argparse.Namespace) -> int:
                     optimise_site(site, folder, listener, resume=args.resume)
             return report(args, site, folder)
         except KeyboardInterrupt:
-            print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
-            return 1
+            return say_stopped(folder.path)
 
 
 def run_evaluate(args: argparse.Namespace) -> int:
@@ -117,9 +105,8 @@ def run_evaluate(args: argparse.Namespace) -> int:
     mounting = mounting_from(args, scenario)
     folder = folder_from(args, scenario)
     site = prepare(scenario, [mounting])
-    with folder.locked():
-        folder.check()  # again: another run may have come first
-        say(args, describe_site(site, searched=False, verbose=args.verbose) + "\n")
+    with folder.begun():
+        say(args, describe_site(site, searched=False) + "\n")
         poles = {pole.name: pole for pole in scenario.deployment.poles}
         evaluate_site(site, folder, mounting, poles.get(args.pole))
         return report(args, site, folder)

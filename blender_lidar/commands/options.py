@@ -47,17 +47,6 @@ _GROUPS = {
 }
 
 
-class Renamed(argparse.Action):
-    """An option that has another name now; its message names it."""
-
-    def __init__(self, text: str, **settings) -> None:
-        super().__init__(**settings, nargs="?", help=argparse.SUPPRESS)
-        self._text = text
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        parser.error(f"argument {option_string}: {self._text}")
-
-
 class Once(argparse.Action):
     """An option that takes effect once: given again it is refused, not dropped."""
 

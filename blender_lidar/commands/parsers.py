@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, METRIC_NAMES, VIEWS
 from ..scene.settings import TrafficSettings
 from ..toml_table import setting, settings_of
-from .options import SEARCH_OPTIONS, Renamed, add_moments, add_option, add_pose, add_scene
+from .options import SEARCH_OPTIONS, add_moments, add_option, add_pose, add_scene
 
 SUSTECHPOINTS = "sustechpoints"
 _CLOUD_FORMATS = [*(suffix.removeprefix(".") for suffix in CLOUD_SUFFIXES), SUSTECHPOINTS]
@@ -49,17 +49,11 @@ def _verb(subparsers, name, place, must, what, description, *examples) -> argpar
     return parser
 
 
-def _output(parser: argparse.ArgumentParser, *, verbose: bool = True, resumed: str = "", quick: str = "") -> None:
+def _output(parser: argparse.ArgumentParser, *, resumed: str = "", quick: str = "") -> None:
     """Where results go; whether a run can go on, and what a quick form of it is."""
     add = parser.add_argument_group("output").add_argument
     add("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
     add("--json", action="store_true", help="print only the content of the result file, on stdout")
-    if verbose:
-        add(
-            "--verbose",
-            action="store_true",
-            help="print also all that was read, and how it is searched and cast",
-        )
     if resumed:
         add("--resume", action="store_true", help=f"go on with the stopped {resumed} in --out DIR")
     if quick:
@@ -175,8 +169,6 @@ def _chart(subparsers) -> None:
     regret = "share of the gain over the baseline that a cheaper model may lose, above 0 up to 100%%: 1%% or 0.01 "
     regret += "(default 1%%)"
     add("--max-regret", default="1%", metavar="SHARE", help=regret)
-    text = "is an installation error in other verbs; the gain that may be lost is --max-regret SHARE"
-    add("--tolerance", action=Renamed, text=text)
     _output(parser, resumed="study", quick="ten frames, fewer mountings and draws")
 
 
@@ -215,7 +207,7 @@ def _detect(subparsers) -> None:
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster"))
     add_pose(parser)
     _detector(parser, "pillars")
-    _output(parser, verbose=False)
+    _output(parser)
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +245,7 @@ def _dataset(subparsers) -> None:
     group, settings = parser.add_argument_group("data set"), settings_of(DatasetOptions)
     for key in settings:
         add_option(group, settings[key], key, settings[key].default)
-    _output(parser, verbose=False)
+    _output(parser)
 
 
 def _build(subparsers) -> None:

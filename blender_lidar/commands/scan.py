@@ -17,7 +17,7 @@ from ..files import check_place, check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
 from ..report.page import RENDER_VIEWS, render_file, write_report
 from ..report.summary import warnings_text
-from ..run.folder import SCENE, Outcome, RunFolder
+from ..run.folder import SCENE, RunFolder
 from ..scene.mounting import Mounting
 from ..scene.provenance import check_same_inputs
 from ..scene.scenario import load_scenario
@@ -149,28 +149,27 @@ def _detections(path: str | Path | None, mounting: Mounting) -> dict[int, Detect
 
 def run_render(args: argparse.Namespace) -> int:
     """Render a run's mountings; returns the exit code."""
-    folder = RunFolder(args.folder)
-    run = folder.read_outcome()
+    run = RunFolder(args.folder)
+    deployments = {"baseline": run.result["baseline"]["deployment"], "optimised": run.result["deployment"]}
     blender = blender_room("scene", "render")
     asked = blender.SAMPLES if args.samples is None else args.samples
     samples = checked(asked, Setting(kind=int, low=1, high=_MOST_SAMPLES), "--samples")
-    scenario = load_scenario(folder.file(SCENE))
+    scenario = load_scenario(run.file(SCENE))
     check_same_inputs(scenario, run.result["identity"])
     recording = read_recording(scenario)
     _say_warnings(recording)
-    tables = {"baseline": run.result["baseline"]["deployment"], "optimised": run.result["deployment"]}
-    mounts = {name: scenario.mounting(table) for name, table in tables.items()}
+    mounts = {name: scenario.mounting(table) for name, table in deployments.items()}
     detections = {name: _detections(path, mounts[name]) for name, path in _detected_files(args.detections).items()}
     number = _fullest_frame(run, args.detections, detections["optimised"]) if args.frame is None else args.frame
     vehicles = frame_of(recording, number, "--frame")
     written = []
-    with folder.locked(), closing(Progress(len(mounts) * len(RENDER_VIEWS), "render")) as progress:
+    with run.locked(), closing(Progress(len(mounts) * len(RENDER_VIEWS), "render")) as progress:
         for name, mount in mounts.items():
             scene = blender.empty_scene()
             moment = mounted_sensor(scenario, mount).moment(vehicles, detections=detections[name])
             blender.build_scene(scene, moment)
             for view in RENDER_VIEWS:
-                written.append(folder.file(render_file(name, view)))
+                written.append(run.file(render_file(name, view)))
                 blender.render_picture(written[-1], scene, blender.CAMERAS[view], size=blender.SIZE, samples=samples)
                 progress.advance(1)
         written.append(write_report(run))
@@ -187,7 +186,7 @@ def _detected_files(path: str | None) -> dict[str, Path | None]:
     return {"baseline": beside if beside.exists() else None, "optimised": given}
 
 
-def _fullest_frame(run: Outcome, path: str | None, detections: Mapping[int, DetectedBoxes]) -> int:
+def _fullest_frame(run: RunFolder, path: str | None, detections: Mapping[int, DetectedBoxes]) -> int:
     """The searched frame with the most counted vehicles, or the fullest of those that a file has detections of."""
     table = run.optimised
     asked = table["split"] == "search" if path is None else np.isin(table["frame"], list(detections))

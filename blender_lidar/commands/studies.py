@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -20,10 +18,10 @@ from ..studies.candidates import check_one_place, check_searched, sobol_candidat
 from ..studies.chart import FULL_CHART, QUICK_CHART, chart_identity, chart_study
 from ..studies.driver import StudyFolder
 from ..studies.stability import FULL_STABILITY, QUICK_STABILITY, study_identity, study_stability
-from .optimise import check_resume, say
+from .optimise import check_resume
 from .options import check_scipy, default_folder, given_options, mounting_from, scenario_from
 from .progress import Progress
-from .report import describe_site
+from .report import describe_site, say, say_result, say_stopped
 
 
 def run_chart(args: argparse.Namespace) -> int:
@@ -90,15 +88,11 @@ def _carry_out(
     """
     folder = StudyFolder(args.out or default_folder(site.scenario, verb), identity, Progress)
     with folder.locked(resume=args.resume):
-        say(args, describe_site(site, verbose=args.verbose) + "\n")
+        say(args, describe_site(site) + "\n")
         try:
             with stops_recognised():
                 result = study(folder)
         except KeyboardInterrupt:
-            print(f"blender-lidar: stopped; go on with: --out {folder.path} --resume", file=sys.stderr)
-            return 1
+            return say_stopped(folder.path)
         written = report.write(folder, result)
-    say(args, f"{report.text(result)}\n\nResults in {folder.path}: {', '.join(written)}")
-    if args.json:
-        print(json.dumps(result, indent=2))
-    return 0
+    return say_result(args, f"{report.text(result)}\n\nResults in {folder.path}: {', '.join(written)}", result)

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from ..plugins import METRICS_OF_OTHERS, called, faults_in_one_line, is_plugin, load_plugin, plugin_names
+from ..plugins import IN_A_FILE, called, faults_in_one_line, is_plugin, load_plugin
 from . import vehicle_metrics as vehicle
 from .metric import (
     NEEDS_DETECTABLE,
@@ -80,7 +80,7 @@ METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
 
 
 def metric_named(name: str, where: str = "") -> Metric:
-    """The metric of that name, or the plug-in: an entry point's, or one in a file, ``FILE.py:NAME``.
+    """The metric of that name, or the one in a file, ``FILE.py:NAME``.
 
     Raises
     ------
@@ -89,9 +89,9 @@ def metric_named(name: str, where: str = "") -> Metric:
     """
     if name in METRICS:
         return METRICS[name]
-    if not is_plugin(name, METRICS_OF_OTHERS):
-        raise unknown_name(name, (*METRICS, *plugin_names(METRICS_OF_OTHERS)), "metric", where)
-    found = load_plugin(name, METRICS_OF_OTHERS, where)
+    if not is_plugin(name):
+        raise unknown_name(name, (*METRICS, IN_A_FILE), "metric", where)
+    found = load_plugin(name, where)
     if not isinstance(found, Metric):
         prefix = f"{where}: " if where else ""
         raise InputError(f"{prefix}{name}: is a {type(found).__name__}; allowed: a function with @blender_lidar.metric")

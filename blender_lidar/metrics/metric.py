@@ -335,7 +335,7 @@ def metric(
 ) -> Metric | Callable[[Score], Metric]:
     """Decorator: a metric of one's own, from a function of `VehicleReturns` that gives (n,) finite values.
 
-    ``--metric own.py:roof`` maximises it, as does an entry point of the group ``blender_lidar.metrics``::
+    ``--metric own.py:roof`` maximises it::
 
         @blender_lidar.metric(tells="what share of its roof the beams hit")
         def roof(returns):

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from ..names import ITERATIONS, PARTICLES, SEARCHES
-from ..plugins import SEARCHES_OF_OTHERS, called, faults_in_one_line, is_plugin, load_plugin, plugin_names
+from ..plugins import IN_A_FILE, called, faults_in_one_line, is_plugin, load_plugin
 from .baselines import GridSearch, RandomSearch, grid_points
 from .de_pso import DePso, DePsoSettings
 from .hardened import Hardened, HardenedSettings
@@ -72,12 +72,11 @@ def run(search: Search, objective: Objective, callback: Callable[[Search], None]
 class OwnSearch(Search):
     """A search of one's own, an object with `ask` and `tell`, held to the rules of a `Search`.
 
-    ``--search own.py:Climb`` searches with it, as does an entry point of the group ``blender_lidar.searches``. `Climb`
-    is a class, or a function that makes the object, called as ``Climb(lower, upper, seed=seed, budget=budget)`` with
-    bounds (d,). Then by turns ``ask()`` gives the candidates to evaluate next, (s, d) within the bounds, and
-    ``tell(values)`` takes their values, (s,): the higher the better, ``-inf`` for an infeasible one. The last batch is
-    cut to what the budget leaves. A new one that is given the same values has to ask for the same, so that a run can go
-    on.
+    ``--search own.py:Climb`` searches with it. `Climb` is a class, or a function that makes the object, called as
+    ``Climb(lower, upper, seed=seed, budget=budget)`` with bounds (d,). Then by turns ``ask()`` gives the candidates to
+    evaluate next, (s, d) within the bounds, and ``tell(values)`` takes their values, (s,): the higher the better,
+    ``-inf`` for an infeasible one. The last batch is cut to what the budget leaves. A new one that is given
+    the same values has to ask for the same, so that a run can go on.
 
     Raises
     ------
@@ -116,16 +115,16 @@ class OwnSearch(Search):
 
 
 def search_named(name: str, where: str = "") -> Callable:
-    """What makes the search of a plug-in: an entry point's, or one in a file, ``FILE.py:NAME``.
+    """What makes the search of one's own in a file, ``FILE.py:NAME``.
 
     Raises
     ------
     MissingFileError, InputError
         When there is none, with the nearest name, or it cannot be loaded; `where` says where the name came from.
     """
-    if not is_plugin(name, SEARCHES_OF_OTHERS):
-        raise unknown_name(name, (*SEARCHES, *plugin_names(SEARCHES_OF_OTHERS)), "search", where)
-    found = load_plugin(name, SEARCHES_OF_OTHERS, where)
+    if not is_plugin(name):
+        raise unknown_name(name, (*SEARCHES, IN_A_FILE), "search", where)
+    found = load_plugin(name, where)
     if not callable(found):
         prefix = f"{where}: " if where else ""
         raise InputError(f"{prefix}{name}: is a {type(found).__name__}; allowed: a class, or a function that makes one")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..sensors.model import LidarModel
-from .figure import FAINT, INK, say_empty, sheet
+from .figure import FAINT, INK, sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,7 +59,7 @@ def fan_text(model: LidarModel) -> str:
 
 
 def plot_beam_fan(model: LidarModel, path: str | Path) -> None:
-    """Draw a sensor's beams from the side, the gaps between its rings, and one firing column.
+    """Draw a sensor's beams from the side, and where they meet the road.
 
     Parameters
     ----------
@@ -81,12 +80,8 @@ def plot_beam_fan(model: LidarModel, path: str | Path) -> None:
         f"{model.rings} rings, {low:+.4g} to {high:+.4g} degrees, {model.columns()} columns a turn at "
         f"{model.default_rotation_hz:g} Hz, {model.range_min_m:g} to {model.range_max_m:g} m"
     )
-    with sheet(path, 150.0, f"{model.name}: beam fan", subtitle) as figure:
-        axes = figure.subplot_mosaic([["side", "side"], ["gaps", "column"]])
-        axes["column"].sharey(axes["gaps"])
-        _draw_side(axes["side"], model)
-        _draw_gaps(axes["gaps"], model)
-        _draw_column(axes["column"], model)
+    with sheet(path, 80.0, f"{model.name}: beam fan", subtitle) as figure:
+        _draw_side(figure.add_subplot(), model)
 
 
 def _ends_m(model: LidarModel) -> np.ndarray:
@@ -127,27 +122,3 @@ def _draw_side(axes: Axes, model: LidarModel) -> None:
         title=f"Level at {MOUNT_HEIGHT_M:g} m, heights stretched: {lands.sum()} of {model.rings} rings (dark) meet the "
         f"road within {FAN_REACH_M:g} m",
     )
-
-
-def _draw_gaps(axes: Axes, model: LidarModel) -> None:
-    """The step from each ring to the next over elevation."""
-    labels = {"xlabel": "Step to the next ring [degrees]", "ylabel": "Elevation [degrees]"}
-    axes.set(title="Gaps between neighbouring rings", **labels)
-    if model.rings == 1:
-        say_empty(axes, "only one ring")
-        return
-    elevation = np.degrees(model.elevation_rad)
-    step = np.diff(elevation)
-    axes.plot(step, (elevation[1:] + elevation[:-1]) / 2.0, "o", color=INK, markersize=2.5)
-    axes.set_xlim(0.0, 1.1 * step.max() or 1.0)
-    axes.grid(visible=True)
-
-
-def _draw_column(axes: Axes, model: LidarModel) -> None:
-    """Azimuth offset and elevation of every beam of one firing column."""
-    offset = np.degrees(model.azimuth_offset_rad)
-    axes.plot(offset, np.degrees(model.elevation_rad), "o", color=INK, markersize=2.5)
-    widest = max(1.0, 1.1 * math.ceil(np.abs(offset).max()))
-    labels = {"xlabel": "Azimuth offset, clockwise positive [degrees]", "ylabel": "Elevation [degrees]"}
-    axes.set(title="One firing column, seen from the sensor", xlim=(-widest, widest), **labels)
-    axes.grid(visible=True)

@@ -17,7 +17,7 @@ from ..clouds.snapshot import MountedSensor
 from ..detection.judge import JudgedDetector, clouds_at, judging_frames, region_of_alarms
 from ..detection.scores import CONFIDENCES, CRITERIA, meetings
 from ..metrics.vgop import VIEW_NAMES, entropy, occupancy_views
-from ..run.folder import Outcome
+from ..run.folder import RunFolder
 from ..scene.mounting import Mounting
 from ..scene.observation import CountedFrame
 from ..scene.site import Site
@@ -78,7 +78,7 @@ class Sight:
     detectable: np.ndarray
 
 
-def draw_clouds(path: str | Path, site: Site, run: Outcome) -> None:
+def draw_clouds(path: str | Path, site: Site, run: RunFolder) -> None:
     """Draw the searched frame with the most vehicles in view, as both mountings of a run see it."""
     frame = max(site.search, key=lambda candidate: int(candidate.counted.sum()))
     vehicles, observation = frame.vehicles.select(frame.counted), site.observation
@@ -321,7 +321,7 @@ _LEAST_OUTLINED_MM = 0.5  # smaller cells would drown in their outlines
 _SIDES_OF_VIEW = {"top": (0, 1), "side": (0, 2), "front": (1, 2)}  # of the box, to the right and upwards
 
 
-def draw_occupancy(path: str | Path, site: Site, run: Outcome) -> None:
+def draw_occupancy(path: str | Path, site: Site, run: RunFolder) -> None:
     """Draw the occupancy grids of a vehicle that gains a typical amount under both mountings of a run."""
     searched, table = run.optimised["split"] == "search", run.optimised
     before, after = run.baseline["entropy_bits"], table["entropy_bits"]

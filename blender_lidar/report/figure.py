@@ -152,11 +152,6 @@ def legend_below(figure: Figure, handles: Sequence[Any], columns: int) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=2.6)
 
 
-def say_empty(axes: Axes, text: str) -> None:
-    """Write in the middle of an axes why nothing is drawn there."""
-    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=INK)
-
-
 def colours(part: tuple[str, float, float]) -> ListedColormap:
     """Part of a colour map, from the first share of its range to the second."""
     import matplotlib

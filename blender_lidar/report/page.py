@@ -13,7 +13,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..files import write_text
-from ..run.folder import DETECTION, INSTALLATION, REPORT, RESULT, SCENE, Outcome, refused_by_name
+from ..run.folder import DETECTION, INSTALLATION, REPORT, RESULT, SCENE, RunFolder, refused_by_name
 from ..toml_table import read_toml
 from ..traffic.vehicles import RepairReport
 from .detection import detection_table, detection_text
@@ -36,7 +36,7 @@ from .summary import (
     warnings_text,
     was_searched,
 )
-from .tables import TextTable, comparison_table, group_tables, poles_table, recordings_table
+from .tables import TextTable, group_tables, score_tables
 
 # --- The page's tables ------------------------------------------------------------------------------------------------
 
@@ -128,18 +128,18 @@ def render_file(mounting: str, view: str) -> str:
     return f"render_{mounting}_{view}.png"
 
 
-def chart_figures(run: Outcome, *files: str) -> list[Markup]:
+def chart_figures(run: RunFolder, *files: str) -> list[Markup]:
     """Charts with their captions; those that the folder does not hold are left out."""
     figures = []
     for file in files:
         shows, caption = CHARTS[file]
-        path = run.folder.file(file)
+        path = run.file(file)
         if path.exists():
             figures.append(element("figure", image(path, f"Chart: {shows}"), element("figcaption", caption)))
     return figures
 
 
-def render_figures(run: Outcome) -> list[Markup]:
+def render_figures(run: RunFolder) -> list[Markup]:
     """Renders of both mountings, those from one view side by side; none where the folder holds none."""
     figures = []
     for view, called in RENDER_VIEWS.items():
@@ -150,7 +150,7 @@ def render_figures(run: Outcome) -> list[Markup]:
                 element("p", element("strong", name), f": {mounting_text(mount, leans=leans(run.result))}"),
             )
             for mounting, (name, mount) in zip(("baseline", "optimised"), sides(run.result), strict=True)
-            if (path := run.folder.file(render_file(mounting, view))).exists()
+            if (path := run.file(render_file(mounting, view))).exists()
         ]
         if pictures:
             both = f"under the baseline and under the {mounting_name(run.result)} mounting"
@@ -178,7 +178,7 @@ _METAS = (
 )
 
 
-def write_report(run: Outcome) -> Path:
+def write_report(run: RunFolder) -> Path:
     """Write report.html into a run's folder; returns its path.
 
     Raises
@@ -188,11 +188,11 @@ def write_report(run: Outcome) -> Path:
     OutputError
         When the page cannot be written.
     """
-    write_text(run.folder.file(REPORT), report_html(run))
-    return run.folder.file(REPORT)
+    write_text(run.file(REPORT), report_html(run))
+    return run.file(REPORT)
 
 
-def report_html(run: Outcome) -> str:
+def report_html(run: RunFolder) -> str:
     """The page of a run that has ended, with the charts and renders that its folder holds.
 
     Raises
@@ -201,7 +201,7 @@ def report_html(run: Outcome) -> str:
         When a file of the folder is missing or damaged; the text names it.
     """
     style = Markup(_STYLE.read_text(encoding="utf-8"))
-    with refused_by_name(run.folder.file(RESULT)):
+    with refused_by_name(run.file(RESULT)):
         title = f"{_name(run)}: {run.result['sensor']} mounting"
         body = element(
             "main",
@@ -213,7 +213,7 @@ def report_html(run: Outcome) -> str:
             _detection(run),
             _pictures("How sure the optimum is", chart_figures(run, "score_map.png", "convergence.png")),
             _pictures("What the beams hit", chart_figures(run, "clouds.png", "occupancy.png")),
-            _section("Installation sheet", *sheet_markup(run.folder.read_text(INSTALLATION)), class_="sheet"),
+            _section("Installation sheet", *sheet_markup(run.read_text(INSTALLATION)), class_="sheet"),
             _settings(run),
         )
     metas = (element("meta", **attributes) for attributes in _METAS)
@@ -221,14 +221,14 @@ def report_html(run: Outcome) -> str:
     return f'<!DOCTYPE html>\n<html lang="en">\n{head}\n{element("body", body)}\n</html>\n'
 
 
-def _name(run: Outcome) -> str:
+def _name(run: RunFolder) -> str:
     """The scene file's name without its ending."""
     return Path(run.result["scene"]).stem
 
 
-def _heading(run: Outcome):
+def _heading(run: RunFolder):
     """What was asked, the answer in a sentence, and the key figures."""
-    result, scene = run.result, run.folder.file(SCENE)
+    result, scene = run.result, run.file(SCENE)
     with refused_by_name(scene):
         traffic = read_toml(scene)["traffic"]
         traffic = " and ".join(Path(one["path"]).name for one in (traffic if isinstance(traffic, list) else [traffic]))
@@ -250,7 +250,7 @@ def _heading(run: Outcome):
     )
 
 
-def _scores(run: Outcome):
+def _scores(run: RunFolder):
     """The mountings side by side, and what the words in that table mean."""
     result = run.result
     words = definitions(result)
@@ -266,12 +266,10 @@ def _scores(run: Outcome):
             "90 % interval": f"from resampling blocks of {result['block_s']:g} s, because frames close in time "
             "show the same vehicles.",
         }
-    tables = (poles_table(result), comparison_table(result), recordings_table(result))
-    shown = (table_markup(table) for table in tables if table is not None)
-    return _section("Mounting and scores", *shown, terms(words.items()))
+    return _section("Mounting and scores", *map(table_markup, score_tables(result)), terms(words.items()))
 
 
-def _notes(run: Outcome):
+def _notes(run: RunFolder):
     """What to know before acting on the answer."""
     read = run.result["traffic_report"]
     read = RepairReport(**{field.name: read[field.name] for field in fields(RepairReport) if field.name in read})
@@ -284,23 +282,23 @@ def _notes(run: Outcome):
     return _section("What to know before acting on it", *parts)
 
 
-def _where(run: Outcome):
+def _where(run: RunFolder):
     """Scores by distance and by lane, before and after, with their charts."""
     after = mounting_name(run.result)
     text = f"Objective per vehicle and detectable share, before (baseline) and after ({after}); vehicles in all frames."
     tables = [table_markup(table, class_="groups") for table in group_tables(run)]
-    drawn = any(run.folder.file(name).exists() for name in CHARTS)
+    drawn = any(run.file(name).exists() for name in CHARTS)
     charts = chart_figures(run, "by_distance.png", "blind_zones.png") if drawn else [element("p", _NO_CHARTS)]
     return _section("Where vehicles are seen", element("p", text), *tables, *charts)
 
 
-def _detection(run: Outcome):
+def _detection(run: RunFolder):
     """What a detector made of the mounting, where one was asked."""
-    path = run.folder.file(DETECTION)
+    path = run.file(DETECTION)
     if not path.exists():
         return None
     with refused_by_name(path):
-        result = json.loads(run.folder.read_text(DETECTION))
+        result = json.loads(run.read_text(DETECTION))
         return _section(
             "What a detector finds",
             element("p", detection_text(result)),
@@ -309,12 +307,12 @@ def _detection(run: Outcome):
         )
 
 
-def _settings(run: Outcome):
+def _settings(run: RunFolder):
     """How it was computed, and the whole scene, both folded."""
     return _section(
         "The run",
         element("details", element("summary", "How it was computed"), computing_table(run.result)),
-        element("details", element("summary", "The whole scene as used"), element("pre", run.folder.read_text(SCENE))),
+        element("details", element("summary", "The whole scene as used"), element("pre", run.read_text(SCENE))),
     )
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
-from ..run.folder import Outcome
+from ..run.folder import RunFolder
 from ..run.verdict import METRIC_VALUE, REGION_SHARE, WEIGHT, ScoreMap, near_best_threshold
 from ..scene.settings import ZoneSettings
 from ..scene.site import Site
@@ -27,7 +27,6 @@ from .figure import (
     colours,
     legend_below,
     mark_sensor,
-    say_empty,
     sheet,
 )
 from .summary import counted, leans, mounting_text, sharp_of, sides, was_searched
@@ -43,10 +42,9 @@ FEWEST_VEHICLES = 5  # below this a band's average says little, and is not drawn
 BAND_M = 10.0
 _CELL_LENGTH_M = 5.0  # of the blind zones, along the road
 _MARGIN_M = 1.5  # room for the LiDAR's marker
-_NOBODY = "no vehicles"
 
 
-def draw_charts(site: Site, run: Outcome) -> list[str]:
+def draw_charts(site: Site, run: RunFolder) -> list[str]:
     """Draw every chart that the run has data for into its folder; returns the names of the files.
 
     Raises
@@ -60,8 +58,8 @@ def draw_charts(site: Site, run: Outcome) -> list[str]:
     """
     charts = {}
     if was_searched(run.result):
-        charts["convergence.png"] = partial(plot_convergence, run=run, history=run.folder.read_history())
-        if (score_map := run.folder.read_score_map()) is not None:
+        charts["convergence.png"] = partial(plot_convergence, run=run, history=run.read_history())
+        if (score_map := run.read_score_map()) is not None:
             charts["score_map.png"] = partial(plot_score_map, run=run, score_map=score_map)
     charts |= {
         "by_distance.png": partial(plot_by_distance, run=run),
@@ -72,7 +70,7 @@ def draw_charts(site: Site, run: Outcome) -> list[str]:
         "occupancy.png": partial(draw_occupancy, site=site, run=run),
     }
     for name, draw in charts.items():
-        draw(run.folder.file(name))
+        draw(run.file(name))
     return list(charts)
 
 
@@ -92,7 +90,7 @@ def _about(result: Mapping, *, judged: bool = False) -> str:
 # --- Convergence: how the search's best objective rose with the number of mountings tried -----------------------------
 
 
-def plot_convergence(path: str | Path, run: Outcome, history: np.ndarray) -> None:
+def plot_convergence(path: str | Path, run: RunFolder, history: np.ndarray) -> None:
     """Draw the convergence of the search: every candidate's objective per vehicle, and the best so far.
 
     The `history` is that of the search that found the mounting, (evaluations, columns): over a tolerance its values
@@ -140,7 +138,7 @@ _TILT_LABELS = {
 }
 
 
-def plot_score_map(path: str | Path, run: Outcome, score_map: ScoreMap) -> None:
+def plot_score_map(path: str | Path, run: RunFolder, score_map: ScoreMap) -> None:
     """Draw the objective over the grid of heights and tilts, the optimum, the baseline and the near-best region.
 
     The grid is of mountings that hang as planned: where the run's is the best over a tolerance (robust), the optimum
@@ -204,7 +202,7 @@ def _draw_region(axes: Axes, score_map: ScoreMap, threshold: float) -> Line2D:
 # --- Detectable share and mean score by distance, before and after ----------------------------------------------------
 
 
-def plot_by_distance(path: str | Path, run: Outcome) -> None:
+def plot_by_distance(path: str | Path, run: RunFolder) -> None:
     """Draw the detectable share, the mean score and the number of vehicles by distance band, before and after."""
     result, metric = run.result, metric_named(run.result["metric"])
     if metric.of_share:  # which is drawn anyway
@@ -239,9 +237,6 @@ def plot_by_distance(path: str | Path, run: Outcome) -> None:
         count.yaxis.get_major_locator().set_params(integer=True)
         for axes in (share, score, count):
             axes.grid(visible=True)
-        if not any(map(len, distances)):
-            say_empty(share, _NOBODY)
-            say_empty(score, _NOBODY)
         figure.align_ylabels()
         legend_below(figure, handles, columns=len(handles))
 
@@ -290,7 +285,7 @@ def _draw_counts(axes: Axes, centre_m: np.ndarray, counts: list[np.ndarray]) -> 
 # --- Blind zones: where along and across the road vehicles stay below the threshold, before and after -----------------
 
 
-def plot_blind_zones(path: str | Path, run: Outcome, road: RoadMap, zones: Sequence[ZoneSettings] = ()) -> None:
+def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Sequence[ZoneSettings] = ()) -> None:
     """Draw the share of vehicles below the detectability threshold per cell of the road, before and after.
 
     The carriageway is divided into whole lanes of about the road's lane width; `zones` of weights are outlined.
@@ -313,13 +308,11 @@ def plot_blind_zones(path: str | Path, run: Outcome, road: RoadMap, zones: Seque
             _draw_lanes(axes, road, (x_edges[0], x_edges[-1]))
             marker = mark_sensor(axes, (mount["x_m"], mount["y_m"]))
             outlines = [_outline_zone(axes, zone) for zone in zones]
-            found = f"{below.mean():.1f} % of {below.size:,} vehicles below the threshold" if below.size else _NOBODY
+            found = f"{below.mean():.1f} % of {below.size:,} vehicles below the threshold"
             axes.set(
                 title=f"{name}: {mounting_text(mount, leans=leans(run.result))}\n{found}",
                 ylabel="Across the road, y [m]",
             )
-            if not below.size:
-                say_empty(axes, _NOBODY)
         across = poles[:, 1]
         panels[-1].set(
             xlim=(x_edges[0], x_edges[-1]),

@@ -415,8 +415,8 @@ def _undecided_by_threshold(result):
     every, change = ("every", "higher") if found["detectable_share"] else ("no", "lower")
     threshold = result["identity"]["[objective] threshold"]
     return (
-        f"{every} vehicle is detectable under either mounting on {on}, so the detectable share does not tell them "
-        f"apart: [objective] threshold is {threshold:g}; try a {change} one"
+        f"{every} vehicle is detectable under either mounting on {on}, so the detectable share does not "
+        f"distinguish them: [objective] threshold is {threshold:g}; try a {change} one"
     )
 
 

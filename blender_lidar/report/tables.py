@@ -12,7 +12,7 @@ import numpy as np
 
 from ..metrics.catalogue import metric_named
 from ..optimise import vehicle_score
-from ..run.folder import Outcome
+from ..run.folder import RunFolder
 from ..run.tolerance import tolerance_text
 from ..run.verdict import distance_bands, lanes, metric_values, vehicle_weight
 from .summary import (
@@ -45,6 +45,12 @@ class TextTable:
     title: str
     head: list[list[tuple[str, int]]]
     sections: list[tuple[str, list[tuple[str, ...]]]]
+
+
+def score_tables(result: Mapping) -> list[TextTable]:
+    """Candidate poles, the mountings side by side, and each of several recordings alone, as far as a run has them."""
+    tables = (poles_table(result), comparison_table(result), recordings_table(result))
+    return [table for table in tables if table is not None]
 
 
 def comparison_table(result: Mapping) -> TextTable:
@@ -100,13 +106,13 @@ def _score_rows(result, compared, over):
     return rows
 
 
-def group_tables(run: Outcome) -> list[TextTable]:
+def group_tables(run: RunFolder) -> list[TextTable]:
     """Objective per vehicle and detectable share by distance and, where lanes are known, by lane: see `group_table`."""
     groups = {"distance": distance_bands} | ({"lane": lanes} if run.baseline["lane"].any() else {})
     return [group_table(name, function, run) for name, function in groups.items()]
 
 
-def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarray]]], run: Outcome) -> TextTable:
+def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarray]]], run: RunFolder) -> TextTable:
     """Objective per vehicle and detectable share of each group of vehicles, searched and held out, before and after.
 
     Before is the baseline, after the run's mounting; "-" stands where a group has no vehicle or the objective is the

@@ -9,7 +9,7 @@ import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import cached_property
 from io import TextIOWrapper
 from pathlib import Path
 
@@ -57,32 +57,21 @@ _DECIMALS = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Outcome:
-    """What a run that has ended came to, as its folder holds it.
-
-    Attributes
-    ----------
-    folder : RunFolder
-    result : dict
-        The content of result.json.
-    optimised, baseline : dict of str to ndarray
-        Vehicle tables of both mountings, searched and held-out frames: the same vehicles in the same order.
-    """
-
-    folder: RunFolder
-    result: dict
-    optimised: dict[str, np.ndarray]
-    baseline: dict[str, np.ndarray]
-
-
 class RunFolder:
-    """The folder of one run; it is made when `locked`.
+    """The folder of one run, and what the run came to once it has ended.
+
+    It is made when `locked`. Result and tables are read when they are asked for; those of a run of this process are at
+    hand, as they would be read.
 
     Parameters
     ----------
     path : path
         Where it is, or will be.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        From `result`, `optimised` and `baseline`: when no run has ended there, or a file is missing or damaged.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -106,6 +95,14 @@ class RunFolder:
             raise InputError(
                 f"--out: {self.path}: holds a run already; give another folder, or go on with it: optimise --resume"
             )
+
+    @contextmanager
+    def begun(self, *, resume: bool = False) -> Iterator[RunFolder]:
+        """The folder `locked` for a run that may write there, which is checked again: another may have come first."""
+        self.check(resume=resume)
+        with self.locked():
+            self.check(resume=resume)
+            yield self
 
     @contextmanager
     def locked(self) -> Iterator[RunFolder]:
@@ -156,32 +153,42 @@ class RunFolder:
         """
         return self._read_json(RESULT, identity)
 
-    def read_outcome(self) -> Outcome:
-        """What the run that has ended here came to.
-
-        Raises
-        ------
-        MissingFileError, InputError
-            When no run has ended here, or a file is missing or damaged; the text names it.
-        """
-        result, where = self.read_result(), self.file(RESULT)
-        if result is None and self.file(CHECKPOINT).exists():
+    @cached_property
+    def result(self) -> dict:
+        """The content of result.json."""
+        found = self.read_result()
+        if found is None and self.file(CHECKPOINT).exists():
             raise MissingFileError(f"{self.path}: the run there has not ended; go on with it: optimise --resume")
-        if result is None:
+        if found is None:
             raise MissingFileError(f"{self.path}: is not the folder of a run: there is no {RESULT}")
-        if result.get("schema") != RUN_SCHEMA:
-            raise InputError(f"{where}: schema is not {RUN_SCHEMA}, the one that this version writes")
-        with refused_by_name(where):
-            metric = result["metric"]
-        optimised, baseline = (self.read_vehicles(name, metric) for name in (VEHICLES, VEHICLES_BASELINE))
-        if any(not np.array_equal(optimised[key], baseline[key]) for key in ("frame", "vehicle_id", "split")):
-            raise InputError(f"{self.file(VEHICLES_BASELINE)}: lists other vehicles than {VEHICLES}")
-        return Outcome(self, result, optimised, baseline)
+        if found.get("schema") != RUN_SCHEMA:
+            raise InputError(f"{self.file(RESULT)}: schema is not {RUN_SCHEMA}, the one that this version writes")
+        return found
 
-    def finish(self, result: Mapping) -> None:
-        """Write the result, which ends the run, and drop the checkpoint."""
-        write_text(self.file(RESULT), json.dumps(result, indent=2) + "\n")
+    @cached_property
+    def optimised(self) -> dict[str, np.ndarray]:
+        """The vehicle table of the run's mounting, searched and held-out frames."""
+        with refused_by_name(self.file(RESULT)):
+            metric = self.result["metric"]
+        return self.read_vehicles(VEHICLES, metric)
+
+    @cached_property
+    def baseline(self) -> dict[str, np.ndarray]:
+        """That of the baseline: the same vehicles in the same order."""
+        with refused_by_name(self.file(RESULT)):
+            metric = self.result["metric"]
+        found = self.read_vehicles(VEHICLES_BASELINE, metric)
+        if any(not np.array_equal(found[key], self.optimised[key]) for key in ("frame", "vehicle_id", "split")):
+            raise InputError(f"{self.file(VEHICLES_BASELINE)}: lists other vehicles than {VEHICLES}")
+        return found
+
+    def finish(self, result: Mapping) -> dict:
+        """Write the result, which ends the run, and drop the checkpoint; returns it as it would be read."""
+        text = json.dumps(result, indent=2)
+        write_text(self.file(RESULT), text + "\n")
         self.file(CHECKPOINT).unlink(missing_ok=True)
+        self.result = json.loads(text)
+        return self.result
 
     def write_history(self, name: str, history: np.ndarray, variables: tuple[str, ...]) -> None:
         """Write every evaluation: number, iteration, particle, variables, objective, best so far.
@@ -192,9 +199,11 @@ class RunFolder:
         columns = dict(zip((*numbers, *variables, "objective", "best"), history.T, strict=True))
         write_columns(self.file(name), columns | {key: columns[key].astype(int) for key in numbers})
 
-    def write_vehicles(self, name: str, table: Mapping[str, np.ndarray]) -> None:
-        """Write a vehicle table; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""
-        write_columns(self.file(name), table, _DECIMALS)
+    def write_vehicles(self, optimised: Mapping[str, np.ndarray], baseline: Mapping[str, np.ndarray]) -> None:
+        """Write the vehicle tables of both mountings, rounded once for the files and for what is shown of the run."""
+        self.optimised, self.baseline = _rounded(optimised), _rounded(baseline)
+        write_columns(self.file(VEHICLES), self.optimised, _DECIMALS)
+        write_columns(self.file(VEHICLES_BASELINE), self.baseline, _DECIMALS)
 
     def write_ranking(self, poles: Sequence[Mapping]) -> None:
         """Write candidate poles, the best first, one row for each."""
@@ -305,6 +314,14 @@ def refused_by_name(path: Path) -> Iterator[None]:
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError, csv.Error) as error:
         what = f"has no {error}" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
         raise InputError(f"{path}: is damaged, or not of this version: {what}") from error
+
+
+def _rounded(table: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """A vehicle table with the digits that its file keeps."""
+    return {
+        key: np.char.mod(f"%.{_DECIMALS[key]}f", values).astype(float) if key in _DECIMALS else values
+        for key, values in table.items()
+    }
 
 
 @contextmanager

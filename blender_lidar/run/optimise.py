@@ -25,7 +25,7 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
 from ..statistics import block_sums, of_blocks
-from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, VEHICLES, VEHICLES_BASELINE, RunFolder
+from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, RunFolder
 from .replay import Listener, Replay
 from .tolerance import JUDGED_BASE, SEARCHED_BASE, best_over_tolerance, objective_over
 from .verdict import (
@@ -359,8 +359,8 @@ def _conclude(
         judged["best_of_map"] = on_map[1]
     if poles is not None:
         folder.write_ranking(poles)
-    for file, name in {VEHICLES: "optimised", VEHICLES_BASELINE: BASELINE_NAME}.items():
-        folder.write_vehicles(file, vehicle_table(layouts[name], search=evaluator, holdout=evaluator.held_out))
+    splits = {"search": evaluator, "holdout": evaluator.held_out}
+    folder.write_vehicles(*(vehicle_table(layouts[name], **splits) for name in ("optimised", BASELINE_NAME)))
     verdict = judge(site, judged, evaluator, seed)
     evaluations = {name: sum(len(search.history) for search in parts) for name, parts in searches.items()}
     tolerance = scenario.objective.tolerance
@@ -418,5 +418,4 @@ def _conclude(
         "seconds": round(time.perf_counter() - started, 3),
         "versions": versions(site.observation.caster),
     }
-    folder.finish(result)
-    return result
+    return folder.finish(result)

@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import InputError
 from ..optimise import Search
 from ..optimise.multi_fidelity import Asked, MultiFidelitySearch
-from .folder import CHECKPOINT, RunFolder
+from .folder import CHECKPOINT, RunFolder, refused_by_name
 
 _STORE_EVERY_S = 2.0
 
@@ -81,14 +81,11 @@ class Replay:
 
     def _replay(self, search: Search | MultiFidelitySearch, batch: dict) -> None:
         number = self._replayed + 1
-        try:
+        with refused_by_name(self._folder.file(CHECKPOINT)):
             asked = _as_stored(search.ask())
             alike = asked == {key: batch[key] for key in asked}
             if alike:
                 _tell(search, np.array(batch["values"], dtype=float), float(batch["seconds"]))
-        except (LookupError, TypeError, ValueError) as error:
-            path = self._folder.file(CHECKPOINT)
-            raise InputError(f"{path}: batch {number} is damaged: {type(error).__name__}: {error}") from None
         if not alike:
             raise InputError(
                 f"--resume: {self._folder.path}: the search asks for other mountings in batch {number} than the run "

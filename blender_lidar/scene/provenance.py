@@ -18,12 +18,9 @@ from ..plugins import is_plugin, plugin_file, short_name
 from .settings import DECLARED, Scenario
 
 _CONTENT = "file with SHA-256 "  # how the content of a file stands for it
-_PLUGINS = {
-    (table, key): declared.plugins
-    for table, settings in DECLARED.items()
-    for key, declared in settings.items()
-    if declared.plugins
-}
+_PLUGINS = [
+    (table, key) for table, settings in DECLARED.items() for key, declared in settings.items() if declared.plugins
+]
 CODE = "blender_lidar"  # of an identity: version, and a digest of the source
 
 
@@ -36,10 +33,10 @@ def run_identity(scenario: Scenario, caster: str, scenery_digest: str | None = N
     tables["model"] = {"caster": caster}  # the number of workers changes nothing
     for (table, key), path in _input_files(scenario).items():
         tables[table][key] = _CONTENT + file_digest(path)
-    for (table, key), group in _PLUGINS.items():
+    for table, key in _PLUGINS:
         name = tables[table][key]
-        if is_plugin(name, group):
-            tables[table][key] = f"{short_name(name)}, {_CONTENT}{file_digest(plugin_file(name, group))}"
+        if is_plugin(name):
+            tables[table][key] = f"{short_name(name)}, {_CONTENT}{file_digest(plugin_file(name))}"
     if scenery_digest is not None:
         files = [key for table, key in scenario.files if table == "world"]
         tables["world"] |= dict.fromkeys(files, "file that is read")  # it may draw on further files

@@ -30,7 +30,6 @@ from ..names import (
     VIEWS,
     WARNINGS,
 )
-from ..plugins import METRICS_OF_OTHERS, SEARCHES_OF_OTHERS
 from ..road.straight import StraightRoad, road_map
 from ..toml_table import setting, settings_of
 from .deployment import DEPLOYMENT, HEADING, MOUNTING_OR_LEAN, STAND, Deployment
@@ -287,9 +286,7 @@ class ObjectiveSettings:
         counts.
     """
 
-    metric: str = setting(
-        METRIC_NAMES[0], allowed=METRIC_NAMES, plugins=METRICS_OF_OTHERS, option="--metric", metavar="METRIC"
-    )
+    metric: str = setting(METRIC_NAMES[0], allowed=METRIC_NAMES, plugins=True, option="--metric", metavar="METRIC")
     reading: str = setting("corrected", allowed=READINGS, option="--reading")
     cell_m: float = setting(DEFAULT_CELL_M, low=0.005, high=1.0)
     threshold: float = setting(0.005, low=0.0, high=1.0)
@@ -328,9 +325,7 @@ class SearchSettings:
         DE-PSO alone: gamma, the probability of a differential jump per particle and iteration; 0.1.
     """
 
-    method: str = setting(
-        SEARCHES[0], allowed=SEARCHES, plugins=SEARCHES_OF_OTHERS, option="--search", metavar="SEARCH"
-    )
+    method: str = setting(SEARCHES[0], allowed=SEARCHES, plugins=True, option="--search", metavar="SEARCH")
     fidelity: str = setting("full", allowed=("full", "auto"), option="--fidelity")
     seed: int = setting(1, low=0, option="--seed")
     particles: int = setting(PARTICLES, low=3, high=10_000, option="--particles")
