@@ -154,13 +154,13 @@ def test_the_heights_that_are_said_to_be_searched_are_those_of_the_poles(tmp_pat
     assert "2 poles; on each: height 3 to 8 m, as each pole allows" in said
 
 
-def test_the_answer_names_its_pole_and_those_that_cannot_be_differs(tmp_path, capsys):
+def test_the_answer_names_its_pole_and_those_that_may_be_as_good(tmp_path, capsys):
     rows = "left,0,0,,,,,\nright,0.001,0,,,,,\nfar mast,60,-40,0,2,6,,\n"
     code, out, err = cli(capsys, "optimise", scene_with(tmp_path, rows), "--workers", 1, "--out", tmp_path / "run")
     assert code == 0, err
     text = " ".join(out.split())
     assert "Hang the RS-16 on pole " in text
-    assert "held-out traffic does not distinguish" in text
+    assert "Held-out traffic does not distinguish" in text
     assert "pole, best first" in text
     sheet = (tmp_path / "run" / "installation.txt").read_text()
     assert " m from the foot of pole " in sheet

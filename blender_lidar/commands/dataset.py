@@ -12,7 +12,7 @@ from ..detection.dataset_files import DatasetFolder
 from ..detection.judge import watched
 from ..errors import InputError
 from ..names import DATASET_LAYOUTS
-from ..report.summary import as_sentence
+from ..report.summary import as_sentence, warnings_text
 from ..scene.site import Site, prepare
 from ..scoring.evaluation import workplace_of
 from ..toml_table import settings_of
