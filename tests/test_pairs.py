@@ -371,4 +371,4 @@ def test_a_rendered_frame_is_the_fullest_of_the_run(tmp_path, capsys, monkeypatc
     frames = [row["frame"] for row in table(tmp_path / "run" / "vehicles.csv") if row["split"] == "search"]
     fullest = max(dict.fromkeys(frames), key=frames.count)
     assert out.startswith(f"frame {fullest}: ")
-    assert RunFolder(tmp_path / "run").read_outcome().result["pole"]["name"] == "south"
+    assert RunFolder(tmp_path / "run").result["pole"]["name"] == "south"
