@@ -41,14 +41,6 @@ def test_a_run_that_was_stopped_is_refused_and_says_how_to_go_on(folder):
         page_of(folder)
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b'{"schema": 99}'])
-def test_a_damaged_result_is_refused_by_name(folder, content):
-    folder.file("result.json").write_bytes(content)
-    with pytest.raises(InputError, match=r"result\.json: ") as caught:
-        page_of(folder)
-    one_line(caught.value)
-
-
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [
