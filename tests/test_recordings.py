@@ -117,8 +117,9 @@ def test_frames_and_vehicles_of_the_second_recording_are_counted_on_from_a_power
     own = [prepare(load_scenario(scene_of(tmp_path / "own", one))) for one in (MORNING, EVENING)]
     assert site.plan.search.tolist() == [*own[0].plan.search, *(100 + own[1].plan.search)]
     assert site.plan.search_recording.tolist() == [0] * 6 + [1] * 4
-    blocks = own[0].plan.search_block.max() + 1
-    assert site.plan.search_block.tolist() == [*own[0].plan.search_block, *(blocks + own[1].plan.search_block)]
+    for half in ("search_block", "holdout_block"):
+        first, second = (getattr(one.plan, half) for one in own)
+        assert getattr(site.plan, half).tolist() == [*first, *(first.max() + 1 + second)]
     assert set(site.plan.searched_ids) == {*own[0].plan.searched_ids, *(100 + own[1].plan.searched_ids)}
     frame = int(own[1].plan.search[0])
     joined, alone = site.recording.vehicles(100 + frame), own[1].recording.vehicles(frame)
