@@ -866,7 +866,7 @@ def check_registering_twice_leaves_nothing():
 
 def main():
     sys.modules["matplotlib"] = None  # charts take longer than all else
-    told = {}
+    sentence = {}
     blender_lidar.register()
     wanted = sys.argv[-1] if sys.argv[-1].startswith("check_") else "check_"
     for name, check in [(name, check) for name, check in globals().items() if name.startswith(wanted)]:
@@ -874,12 +874,12 @@ def main():
         FOLDER.mkdir(parents=True)
         try:
             check()
-            told[name.removeprefix("check_")] = ""
+            sentence[name.removeprefix("check_")] = ""
         except Exception:
-            told[name.removeprefix("check_")] = traceback.format_exc()
+            sentence[name.removeprefix("check_")] = traceback.format_exc()
     new_file()
     blender_lidar.unregister()
-    sys.stdout.write(json.dumps({"checks": told}) + "\n")
+    sys.stdout.write(json.dumps({"checks": sentence}) + "\n")
 
 
 if __name__ == "__main__":

@@ -102,16 +102,17 @@ def used() -> dict[str, object]:
 
 def main() -> None:
     """Twice in one process."""
-    told = []
+    message = []
     for _ in range(2):
         bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True)
         install()
-        told.append(used())
+        message.append(used())
         remove()
         left = left_behind()
         assert not any(left.values()), left
     sys.stdout.write(
-        json.dumps({"version": bpy.app.version_string, "numpy_alone": "numba" not in sys.modules, "used": told}) + "\n"
+        json.dumps({"version": bpy.app.version_string, "numpy_alone": "numba" not in sys.modules, "used": message})
+        + "\n"
     )
 
 

@@ -31,11 +31,11 @@ class LocalCluster:
         self._started: list[subprocess.Popen] = []
 
     def __enter__(self) -> LocalCluster:
-        told = self._folder / "scheduler.json"
+        message = self._folder / "scheduler.json"
         try:
-            self.scheduler = self._start("dask_scheduler", "--port", 0, "--scheduler-file", told)
-            wait_for(lambda: told.exists() and told.read_text().endswith("}"))
-            self.address = json.loads(told.read_text())["address"]
+            self.scheduler = self._start("dask_scheduler", "--port", 0, "--scheduler-file", message)
+            wait_for(lambda: message.exists() and message.read_text().endswith("}"))
+            self.address = json.loads(message.read_text())["address"]
             self.workers = [self.start_worker() for _ in range(self._first)]
             return self
         except BaseException:

@@ -19,16 +19,16 @@ def main(folder: str) -> None:
     from nuscenes.utils.splits import get_scenes_of_split
 
     tables = NuScenes(version="v1.0-trainval", dataroot=folder, verbose=False)
-    found, told = {}, {}
+    found, message = {}, {}
     for sample in tables.sample:
         path, boxes, _ = tables.get_sample_data(sample["data"]["LIDAR_TOP"])
         points = LidarPointCloud.from_file(path).points[:3]
         for box in boxes:
             box.wlh = box.wlh + 2.0 * MARGIN_M
             found[box.token] = int(points_in_box(box, points).sum())
-            told[box.token] = tables.get("sample_annotation", box.token)["num_lidar_pts"]
+            message[box.token] = tables.get("sample_annotation", box.token)["num_lidar_pts"]
     scenes = {split: get_scenes_of_split(split, tables) for split in ("site_train", "site_val")}
-    sys.stdout.write(json.dumps({"found": found, "told": told, "scenes": scenes}) + "\n")
+    sys.stdout.write(json.dumps({"found": found, "stated": message, "scenes": scenes}) + "\n")
 
 
 if __name__ == "__main__":

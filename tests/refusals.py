@@ -14,7 +14,7 @@ def files(folder: Path) -> set[Path]:
 def refused(capsys, folder: Path, *words: object, begun: bool = False) -> str:
     """The one line that a command is refused with; checks that it is one, and that nothing was left.
 
-    One that has `begun` may have told what it is about to do.
+    One that has `begun` may have said what it is about to do.
     """
     before = files(folder)
     code, out, err = cli(capsys, *words)

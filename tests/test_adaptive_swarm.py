@@ -62,7 +62,7 @@ def test_a_swarm_drifts_over_a_plateau_instead_of_freezing():
 
 
 def test_the_first_points_of_a_swarm_are_evaluated_before_it_moves():
-    """A swarm that replaced another moved before its first points were told, and learnt from nothing."""
+    """A swarm that replaced another moved before its first points had values, and learnt from nothing."""
     swarm = AdaptiveSwarm(generator(0), 10, 2, flights=0.2, greed=0.2, turned=0.3)
     first = swarm.candidates.copy()
     swarm.move()

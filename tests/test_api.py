@@ -51,18 +51,18 @@ def test_importing_costs_nothing_until_something_is_asked_for():
 def test_a_search_comes_to_what_the_command_line_comes_to(tmp_path, site, capsys):
     words = ("--particles", 4, "--iterations", 3, "--workers", 1, "--out", tmp_path / "run")
     done(capsys, "optimise", tmp_path / "scene.toml", *words)
-    told = RunFolder(tmp_path / "run")
+    message = RunFolder(tmp_path / "run")
     run = bl.best_mounting(site)
     assert run.complete
-    assert run.mounting == {key: told.result["deployment"][key] for key in COORDINATES}
+    assert run.mounting == {key: message.result["deployment"][key] for key in COORDINATES}
     assert {key: value for key, value in run.result.items() if key not in ("seconds", "notes")} == {
-        key: value for key, value in told.result.items() if key not in ("seconds", "notes")
+        key: value for key, value in message.result.items() if key not in ("seconds", "notes")
     }
     for name, column in rows_of(run.vehicles).items():
-        np.testing.assert_array_equal(column, told.optimised[name])
-    assert str(run) == answer(told.result)
-    assert len(run.history["objective"]) == told.result["evaluations"]
-    assert np.max(run.history["objective"]) == pytest.approx(told.result["objective"])
+        np.testing.assert_array_equal(column, message.optimised[name])
+    assert str(run) == answer(message.result)
+    assert len(run.history["objective"]) == message.result["evaluations"]
+    assert np.max(run.history["objective"]) == pytest.approx(message.result["objective"])
 
 
 def test_scores_of_one_of_many_and_of_a_judged_mounting_agree(site):
@@ -133,11 +133,11 @@ def test_a_search_that_is_stopped_before_its_first_batch_is_stopped(site):
 def test_the_best_so_far_is_that_of_the_last_search_that_found_any(tmp_path):
     scene = write_scene(tmp_path)
     site = bl.load_scene(scene, particles=4, iterations=2, workers=1, tolerance="tilt_deg=1")
-    told, known = [], []
+    message, known = [], []
 
     def stop(done, total, best):
-        told.append(done)
-        if len(told) > 2 and done == 0:  # the search over the tolerance begins, and has found nothing yet
+        message.append(done)
+        if len(message) > 2 and done == 0:  # the search over the tolerance begins, and has found nothing yet
             raise KeyboardInterrupt
         known.append(best)
 
@@ -263,7 +263,7 @@ def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("asked", "message"),
     [
         (lambda site: bl.load_scene("i80", colour=1), "load_scene: unknown setting 'colour'"),
         (lambda site: bl.load_scene("i80", frames=-1), "load_scene: frames: is -1; allowed: "),
@@ -296,8 +296,8 @@ def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
         ),
     ],
 )
-def test_what_cannot_be_used_is_refused_in_one_line(site, asked, told):
-    with pytest.raises((InputError, FileNotFoundError), match=told) as caught:
+def test_what_cannot_be_used_is_refused_in_one_line(site, asked, message):
+    with pytest.raises((InputError, FileNotFoundError), match=message) as caught:
         asked(site)
     assert "\n" not in str(caught.value)
 

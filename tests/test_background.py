@@ -1,4 +1,4 @@
-"""An optimisation in a process of its own: what it is told, what it tells, and when it ends."""
+"""An optimisation in a process of its own: what it gets, what it says, and when it ends."""
 
 from __future__ import annotations
 
@@ -33,16 +33,20 @@ def begin(tmp_path):
         scene = write_scene(tmp_path / "scene", REGION | {"model": {"caster": "embree", "workers": 1}} | changes)
         scenario = replace(load_scenario(scene), where=None)
         labels = {("baseline", "x_m, y_m"): "LiDAR panel: Baseline"}
-        order, told, run = tmp_path / "order", tmp_path / "told", tmp_path / "run"
+        order, message, run = tmp_path / "order", tmp_path / "message", tmp_path / "run"
         order.write_bytes(pickle.dumps({"scenario": scenario, "labels": labels, "scenery": scenery}))
         code = "import sys; sys.modules['matplotlib'] = None  # charts take longer than all else\n"
         code += (
             f"from blender_lidar.commands.background import main; raise SystemExit(main({str(order)!r}, {str(run)!r}))"
         )
-        with told.open("wb") as stream:
+        with message.open("wb") as stream:
             command = [sys.executable, "-c", code]
             started.append(subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=stream, stderr=stream))
-        return started[-1], run, lambda: [values for line in told.read_text().splitlines() if (values := heard(line))]
+        return (
+            started[-1],
+            run,
+            lambda: [values for line in message.read_text().splitlines() if (values := heard(line))],
+        )
 
     yield made
     for process in started:
@@ -51,16 +55,16 @@ def begin(tmp_path):
 
 
 def test_it_comes_to_what_the_command_line_does_and_tells_how_far_it_is(begin, quick, tmp_path):
-    process, run, told = begin()
-    assert process.wait(WAIT_S) == 0, told()
+    process, run, message = begin()
+    assert process.wait(WAIT_S) == 0, message()
     assert command_line(["optimise", str(tmp_path / "scene" / "scene.toml"), "--out", str(tmp_path / "line")]) == 0
     one, other = (json.loads((folder / "result.json").read_text()) for folder in (run, tmp_path / "line"))
     assert without_times(one)["deployment"] == without_times(other)["deployment"]
     assert one["objective"] == other["objective"]
-    done = [line["done"] for line in told()]
+    done = [line["done"] for line in message()]
     assert done == sorted(done)
     assert done[-1] >= one["evaluations"]
-    assert told()[-1]["best"] == one["objective"]
+    assert message()[-1]["best"] == one["objective"]
 
 
 def test_a_window_hears_messages_and_nothing_else_that_is_printed(capsys):
@@ -89,15 +93,15 @@ def test_a_window_hears_messages_and_nothing_else_that_is_printed(capsys):
 
 
 def test_what_is_given_besides_hides_vehicles(begin):
-    process, run, told = begin(box("wall", (0.0, 1.5, 3.0), (200.0, 0.2, 6.0), 0.0))
-    assert process.wait(WAIT_S) == 0, told()
+    process, run, message = begin(box("wall", (0.0, 1.5, 3.0), (200.0, 0.2, 6.0), 0.0))
+    assert process.wait(WAIT_S) == 0, message()
     assert json.loads((run / "result.json").read_text())["detectable_share"] == 0.0
 
 
 def test_what_is_wrong_is_one_line_in_the_words_of_who_asked(begin):
-    process, run, told = begin(baseline={"y_m": 8.0, "height_m": 1.0})
+    process, run, message = begin(baseline={"y_m": 8.0, "height_m": 1.0})
     assert process.wait(WAIT_S) == 1
-    (line,) = told()
+    (line,) = message()
     assert line["problem"].startswith("LiDAR panel: Baseline: ")
     assert not run.exists()
 

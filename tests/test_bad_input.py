@@ -46,14 +46,14 @@ BAD_LINES = {
     '[model]\ncaster = "embre"': "[model] caster: unknown caster 'embre'; did you mean 'embree'",
     "[sensor]\nrange_gate_m = 1e4": "[sensor] range_gate_m: is 10000.0; allowed for RS-16",
 }
-BAD_SCENES = NO_SCENES | {f"{MINIMAL}{line}\n".encode(): told for line, told in BAD_LINES.items()}
+BAD_SCENES = NO_SCENES | {f"{MINIMAL}{line}\n".encode(): message for line, message in BAD_LINES.items()}
 
 
-@pytest.mark.parametrize(("content", "told"), BAD_SCENES.items(), ids=list(BAD_SCENES.values()))
-def test_a_scene_file_that_cannot_be_used(tmp_path, capsys, content, told):
+@pytest.mark.parametrize(("content", "message"), BAD_SCENES.items(), ids=list(BAD_SCENES.values()))
+def test_a_scene_file_that_cannot_be_used(tmp_path, capsys, content, message):
     write_scene(tmp_path).write_bytes(content)
     line = refused(capsys, tmp_path, *words_for("evaluate", tmp_path / "scene.toml", tmp_path))
-    assert f"scene.toml: {told}" in line
+    assert f"scene.toml: {message}" in line
 
 
 def test_a_scene_that_is_not_there_or_is_a_folder(tmp_path, capsys, verb):
@@ -135,14 +135,15 @@ BAD_OPTIONS = {
 
 
 @pytest.mark.parametrize(
-    ("verb", "words", "told"),
+    ("verb", "words", "message"),
     [(verb, *case) for verbs, cases in BAD_OPTIONS.items() for verb in verbs for case in cases],
     ids=lambda value: value[:40],
 )
-def test_options_and_mountings_that_cannot_be_used(tmp_path, capsys, verb, words, told):
+def test_options_and_mountings_that_cannot_be_used(tmp_path, capsys, verb, words, message):
     line = refused(capsys, tmp_path, *words_for(verb, write_scene(tmp_path), tmp_path), *words.split())
-    assert told in line
-    if told.startswith(("argument ", "unrecognized ")):  # found by argparse: the verb's own help tells what is allowed
+    assert message in line
+    # Of what argparse finds, the verb's own help says what is allowed.
+    if message.startswith(("argument ", "unrecognized ")):
         assert line.startswith(f"blender-lidar {verb}: ")
         assert line.endswith(f"(see blender-lidar {verb} --help)")
 

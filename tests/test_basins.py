@@ -15,7 +15,7 @@ from blender_lidar.optimise.hardened import Basins
 NOWHERE = np.array([[-9.0, -9.0]])
 
 
-def told(points, values, sizes):
+def message(points, values, sizes):
     found, first = Basins(points.shape[1]), 0
     for size in sizes:
         found.add(points[first : first + size], values[first : first + size])
@@ -49,7 +49,7 @@ def test_the_start_is_that_of_the_definition_however_the_points_come(seed, count
     climbed = points[rng.random(count) < 0.2] if rng.random() < 0.5 else np.full((1, variables), -9.0)
     if not len(climbed):
         climbed = points[:1]
-    found = told(points, values, sizes).unclimbed(climbed)
+    found = message(points, values, sizes).unclimbed(climbed)
     expected = unclimbed_by_definition(points, values, climbed)
     assert (found is None) == (expected is None)
     if expected is not None:
@@ -62,7 +62,7 @@ def test_every_peak_is_named_once_the_best_first():
     mesh = np.linspace(0.0, 1.0, 21)
     points = np.stack(np.meshgrid(mesh, mesh), axis=-1).reshape(-1, 2)
     values = (heights - 2.0 * np.linalg.norm(points[:, None] - tops, axis=2)).max(axis=1)
-    found, climbed = told(points, values, [50, 100]), NOWHERE
+    found, climbed = message(points, values, [50, 100]), NOWHERE
     for top in tops:
         start, distance = found.unclimbed(climbed)
         np.testing.assert_allclose(start, top)
@@ -75,13 +75,13 @@ def test_the_better_points_do_not_notice_that_worse_ones_are_forgotten(monkeypat
     rng = np.random.default_rng(1)
     points, values = rng.random((200, 3)), rng.random(200)
     monkeypatch.setattr(basins, "WATCHED", 40)
-    some = told(points, values, [7] * 20)
+    some = message(points, values, [7] * 20)
     best = np.argsort(-values)[:40]
-    alone = told(points[best], values[best], [])
+    alone = message(points[best], values[best], [])
     assert np.array_equal(some._points, alone._points)
     np.testing.assert_allclose(some._nearest, alone._nearest)
 
 
 @pytest.mark.parametrize("values", [[-math.inf, -math.inf], [-math.inf, 1.0]])
 def test_without_two_feasible_points_there_is_nowhere_to_go(values):
-    assert told(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array(values), []).unclimbed(NOWHERE) is None
+    assert message(np.array([[0.1, 0.1], [0.9, 0.9]]), np.array(values), []).unclimbed(NOWHERE) is None

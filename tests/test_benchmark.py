@@ -70,7 +70,7 @@ def test_every_caster_scores_the_frame_as_exact_does_whole_by_stage_and_without_
     assert (expected > 0.0).any()
     swarm = [entry for entry in entries.values() if entry.name.endswith(("swarm of 20", "drop-out 0.1", "barrier"))]
     assert len(swarm) == len(HERE) + 2
-    assert all(entry.scale * len(entry.act()) == 1.0 for entry in swarm)  # the time of one mounting is told
+    assert all(entry.scale * len(entry.act()) == 1.0 for entry in swarm)  # the time of one mounting is reported
     for name in HERE:
         np.testing.assert_allclose(entries[whole_of(name)].act(), expected, rtol=0.0, atol=1e-12)
         np.testing.assert_allclose(entries[f"{name}: scoring"].act(), expected[0], rtol=0.0, atol=1e-12)

@@ -93,10 +93,10 @@ def test_a_blender_that_takes_an_environment_without_numpy_says_what_to_do(tmp_p
     if "there is no such file" in err:
         pytest.skip("this Blender brings a Python of its own")
     assert code == 2
-    told = [line for line in err.splitlines() if line.startswith("blender-lidar: ")]
-    assert len(told) == 1
-    assert f"no NumPy that works in {environment}" in told[0]
-    assert "run deactivate before Blender" in told[0]
+    message = [line for line in err.splitlines() if line.startswith("blender-lidar: ")]
+    assert len(message) == 1
+    assert f"no NumPy that works in {environment}" in message[0]
+    assert "run deactivate before Blender" in message[0]
     assert "Traceback" not in said + err
 
 

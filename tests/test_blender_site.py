@@ -151,9 +151,9 @@ def test_detections_are_built_and_rendered_with_the_mounting_that_they_are_of(tm
     (tmp_path / "far.csv").write_text(header + row.format(10**6, 3))
     words = write_scene(tmp_path), "--height", 3, "--out"
     detections = "--detections", tmp_path / "own.csv"
-    for frames, told in ((("--frame", 20), 2), (("--frame", 22), 0), (("--frame-ids", "20:22"), 3)):
+    for frames, message in ((("--frame", 20), 2), (("--frame", 22), 0), (("--frame-ids", "20:22"), 3)):
         out, _ = done(capsys, "build", *words, tmp_path / "a.blend", *frames, "--no-cloud", *detections)
-        assert f", {told} detections" in out
+        assert f", {message} detections" in out
     assert cli(capsys, "evaluate", *words, tmp_path / "run", "--frame-ids", "18:24")[0] == 0
     boxes = []
     monkeypatch.setattr(

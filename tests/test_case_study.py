@@ -161,8 +161,8 @@ def test_the_halves_of_the_bands_are_those_of_a_loop_over_vehicles():
     ]
     assert found["far_less_near"]["interval_90"] == pytest.approx(difference_interval_90(*sums, 3))
     three = {"distance_m": np.array([5.0, 25.0, 45.0]), "block": np.zeros(3)}  # the middle one is far
-    told = {"near": 1.0, "far": 3.0, "far_less_near": {"mean": 2.0, "interval_90": None}}
-    assert halves(np.array([1.0, 2.0, 4.0]), three, 1) == told
+    message = {"near": 1.0, "far": 3.0, "far_less_near": {"mean": 2.0, "interval_90": None}}
+    assert halves(np.array([1.0, 2.0, 4.0]), three, 1) == message
     assert halves(np.ones(3), three | {"distance_m": np.full(3, 5.0)}, 1)["near"] is None
 
 
@@ -326,7 +326,7 @@ def test_a_scene_that_asks_something_else_is_refused(tmp_path, capsys, changes, 
 LOST, LEVEL, WON = (-0.2, -0.1), (-0.1, 0.1), (0.1, 0.2)
 
 
-def told(ends):
+def message(ends):
     """A mean with its interval; None for no interval."""
     return {"mean": -0.1 if ends is None else np.mean(ends), "interval_90": None if ends is None else list(ends)}
 
@@ -399,7 +399,7 @@ def test_verdicts_on_the_gain_follow_the_intervals(result, means, expected):
 def test_more_is_gained_far_away_only_if_the_interval_of_the_difference_says_so(result, rs32, rs80, expected):
     for row in result["fig9_halves"]:
         ends = {"RS-32": rs32, "RS-80": rs80}.get(row["sensor"]) if row["measure"] == "detectable" else WON
-        row.update({"near": 0.0, "far": 0.1, "far_less_near": told(ends)})
+        row.update({"near": 0.0, "far": 0.1, "far_less_near": message(ends)})
     assert verdict(result, 6) == expected
 
 
@@ -415,7 +415,7 @@ def test_more_is_gained_far_away_only_if_the_interval_of_the_difference_says_so(
 def test_the_detectable_share_alone_decides_on_the_loss_near_by(result, share, bits, expected):
     for row in result["fig9"]:
         if (row["sensor"], row["band"]) == ("RS-80", "0-20 m"):
-            row["change"] = told({"detectable": share, "entropy_bits": bits}.get(row["measure"]))
+            row["change"] = message({"detectable": share, "entropy_bits": bits}.get(row["measure"]))
     assert verdict(result, 8) == expected
 
 
@@ -434,8 +434,8 @@ def test_uneven_beams_cause_a_loss_only_if_there_is_one_and_they_are_worse_at_th
     result, change, at_optimum, spacing, even, expected
 ):
     near = next(row for row in result["spacing"] if row["band"] == "0-20 m" and row["measure"] == "detectable")
-    near |= {"change": told(change), "spacing_at_optimum": told(at_optimum), "spacing": told(spacing)}
-    near["change_evenly_spaced"] = told(even)
+    near |= {"change": message(change), "spacing_at_optimum": message(at_optimum), "spacing": message(spacing)}
+    near["change_evenly_spaced"] = message(even)
     assert verdict(result, 9) == expected
 
 

@@ -173,7 +173,7 @@ def test_a_stream_that_is_closed_is_no_reason_to_fail(closed):
 
 def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     out, err = done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
-    described, told, meant, *tables, where, notes = out.rstrip().split("\n\n")
+    described, message, meant, *tables, where, notes = out.rstrip().split("\n\n")
     assert [line.split()[0] for line in described.splitlines()] == [
         "Sensor",
         "Traffic",
@@ -181,7 +181,7 @@ def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
         "Searched",
         "Casting",
     ]
-    assert " ".join(told.split()) == answer(json.loads(Path("run/result.json").read_text()))
+    assert " ".join(message.split()) == answer(json.loads(Path("run/result.json").read_text()))
     assert [line.split()[0] for line in meant.splitlines() if line[0].isupper()] == ["Objective,", "Detectable:"]
     assert tables[0].startswith("Mounting ")
     assert where.startswith("Results in run: ")
@@ -219,8 +219,8 @@ def test_a_printed_mounting_is_that_of_the_result_with_units(tmp_path, capsys):
     lines = {cells[0]: cells[1:] for cells in (re.split(r"\s{2,}", line.strip()) for line in out.splitlines())}
     tilts = {"tilt across the road [deg]": ["0.00", "12.50"], "tilt along the road [deg]": ["0.00", "2.00"]}
     others = {"yaw [deg]": ["0.00", "3.00"], "x along the road [m]": ["0.00", "-1.50"]}
-    told = {"Mounting": ["baseline", "given"], "height [m]": ["2.00", "3.30"], **tilts, **others}
-    assert told.items() <= lines.items()
+    message = {"Mounting": ["baseline", "given"], "height [m]": ["2.00", "3.30"], **tilts, **others}
+    assert message.items() <= lines.items()
     assert "Searched  " not in out.partition("\n\n")[0]  # nothing is searched
 
 

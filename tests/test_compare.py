@@ -212,8 +212,8 @@ def test_a_beam_table_that_is_not_the_clouds_is_refused(tmp_path, capsys, sensor
     cloud, boxes = recorded(scanned(vehicles, TILTED, "RS-80"), vehicles, tmp_path)
     tilts = ("--tilt-x", math.degrees(pose.tilt_x), "--tilt-y", math.degrees(pose.tilt_y), "--yaw", math.degrees(0.4))
     words = ("--sensor", sensor, "--x", 3, "--y", -2, "--height", pose.height_m, *tilts, "--caster", CASTER)
-    told = refused(capsys, tmp_path, "compare", "--points", cloud, "--boxes", boxes, *words)
-    assert f"% of its {len(np.load(cloud)['xyz'])} points are near the rings of {sensor}, where chance gives" in told
+    message = refused(capsys, tmp_path, "compare", "--points", cloud, "--boxes", boxes, *words)
+    assert f"% of its {len(np.load(cloud)['xyz'])} points are near the rings of {sensor}, where chance gives" in message
 
 
 # --- The command ------------------------------------------------------------------------------------------------------
@@ -278,7 +278,7 @@ def test_a_single_cloud_has_intervals_over_its_vehicles(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("--details", "body,fine"), "--details: "),
         (("--losses", "glass_dropout=2"), "--losses: glass_dropout is 2.0; allowed: 0 to 1"),
@@ -288,15 +288,15 @@ def test_a_single_cloud_has_intervals_over_its_vehicles(tmp_path, capsys):
         (("--distance", "50", "10"), "--distance: 50 10; allowed: the nearer one first"),
     ],
 )
-def test_wrong_options_end_in_one_line(clouds, tmp_path, capsys, words, told):
-    assert told in refused(capsys, tmp_path, "compare", *clouds, "--out", tmp_path / "out", *words)
+def test_wrong_options_end_in_one_line(clouds, tmp_path, capsys, words, message):
+    assert message in refused(capsys, tmp_path, "compare", *clouds, "--out", tmp_path / "out", *words)
     assert not (tmp_path / "out").exists()
 
 
 def test_where_nothing_is_left_to_compare_it_says_why(bodies):
-    for way, told in (
+    for way, message in (
         ({"between_m": (100.0, 200.0)}, r"no labelled vehicle to compare at 100 to 200 m \(21 nearer\)"),
         ({"classes": ("Lorry",)}, "no Lorry to compare; the labels are car"),
     ):
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=message):
             compared(bodies, replace(PLAIN, **way))

@@ -40,7 +40,7 @@ def test_a_climb_on_a_plateau_widens_and_then_gives_up():
 
 @pytest.mark.parametrize("best", [[1.0, 0.4, 0.6], [1.0, 0.0, 0.6], [1.0, 0.0, 1.0], [1.0, 0.0, 1.0, 0.4, 0.6]])
 def test_a_climb_to_a_wall_along_an_edge_or_into_a_corner_arrives(best):
-    """Samples drawn again while outside the box stayed off the wall; told as put on it, climbs along it ended early."""
+    """Samples drawn again while outside the box stayed off the wall; put on it, climbs along it ended early."""
     best, slope = np.array(best), np.array([1.0, 3.0, 10.0, 3.0, 1.0])[: len(best)]
     walls, missed = np.isin(best, [0.0, 1.0]), []
     for seed in range(8):

@@ -166,9 +166,9 @@ READERS = {"npz": from_npz, "kitti": from_kitti, "nuscenes": from_nuscenes}
 def test_an_independent_reader_counts_the_same_points_in_every_box(layout, made):
     total = 0
     for number in range(SCANS):
-        told = [int(row["points"]) for row in boxes_of(made, number, seen=layout == "kitti")]
-        assert READERS[layout](made, number) == told
-        total += sum(told)
+        message = [int(row["points"]) for row in boxes_of(made, number, seen=layout == "kitti")]
+        assert READERS[layout](made, number) == message
+        total += sum(message)
     assert total > 1000
 
 
@@ -182,7 +182,7 @@ def test_nuscenes_own_devkit_counts_the_same(made):
     command = [python, script, made / "nuscenes"]
     said = subprocess.run(command, capture_output=True, text=True, timeout=WAIT_S, check=True).stdout
     counts = json.loads(said.splitlines()[-1])
-    assert counts["found"] == counts["told"]
+    assert counts["found"] == counts["stated"]
     assert sum(counts["found"].values()) > 1000
     assert len(counts["scenes"]["site_train"]) + len(counts["scenes"]["site_val"]) == SCANS
 
@@ -395,39 +395,39 @@ def test_a_damaged_data_set_is_refused_in_a_line(made, tables, tmp_path, capsys)
     own = csv_results(made, tmp_path / "own.csv")
     asked = "detect", tables, "--detector", own, "--out", tmp_path / "judged"
 
-    def told() -> str:
+    def message() -> str:
         return refused(capsys, tmp_path, *asked)
 
     whole = (tables / "dataset.json").read_text()
     (tables / "dataset.json").write_text(whole[:500])
-    assert "dataset.json: is damaged" in told()
+    assert "dataset.json: is damaged" in message()
     (tables / "dataset.json").rename(tables / "unfinished.json")
-    assert "is an unfinished data set; give the command that began it again" in told()
+    assert "is an unfinished data set; give the command that began it again" in message()
     (tables / "dataset.json").write_text(whole)
     number = next(int(row["scan"]) for row in scans_of(made) if row["split"] == "val")
     (tables / "boxes" / f"{number:06d}.csv").unlink()
-    assert f"{number:06d}.csv: there is no such file" in told()
+    assert f"{number:06d}.csv: there is no such file" in message()
 
 
 def test_detections_and_detectors_that_do_not_fit_are_refused(made, tables, tmp_path, capsys):
-    def told(*more: object, of: Path = made) -> str:
+    def message(*more: object, of: Path = made) -> str:
         return refused(capsys, tmp_path, "detect", of, *more, "--out", tmp_path / "judged")
 
     own = kitti_results(made, tmp_path / "label_2")
     number = next(int(row["scan"]) for row in scans_of(made) if row["split"] == "val")
     (own / f"{number:06d}.txt").unlink()
-    line = told("--detector", own)
+    line = message("--detector", own)
     assert f"lacks 1 of the 13 scans of split val of the data set, such as {number}" in line
     (own / "000999.txt").touch()
-    assert "has detections of number 999; allowed: scans 0 to 23" in told("--detector", own)
+    assert "has detections of number 999; allowed: scans 0 to 23" in message("--detector", own)
     (tmp_path / "own.csv").write_text((made / "boxes" / "000000.csv").read_text())
-    assert "own.csv:1: no column confidence" in told("--detector", tmp_path / "own.csv")
-    assert "learns the empty scene from clouds of one mounting" in told("--detector", "classical")
-    assert "--height: is of a scene, and" in told("--height", 4)
-    assert "no such file" in told("--detector", "pillar")
-    assert "000001.npz: there is no such file" in told(of=tables)
+    assert "own.csv:1: no column confidence" in message("--detector", tmp_path / "own.csv")
+    assert "learns the empty scene from clouds of one mounting" in message("--detector", "classical")
+    assert "--height: is of a scene, and" in message("--height", 4)
+    assert "no such file" in message("--detector", "pillar")
+    assert "000001.npz: there is no such file" in message(of=tables)
     edited(tables / "dataset.json", '"npz",', "")
-    assert "has no NPZ clouds but kitti, nuscenes; allowed" in told(of=tables)
+    assert "has no NPZ clouds but kitti, nuscenes; allowed" in message(of=tables)
     line = refused(capsys, tmp_path, "detect", made / "npz", "--detector", own, "--out", tmp_path / "judged")
     assert "a file is judged by detect SCENE --detector FILE" in line
 

@@ -171,13 +171,13 @@ def test_each_point_of_a_stored_cloud_is_on_its_own_beam(sensor, tmp_path, capsy
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda header: header.pop("range_m"), "cloud.npz: its header range_m: is missing"),
         (lambda header: header.update(sensor="mine"), "its sensor 'mine' is of a table of its own"),
     ],
 )
-def test_a_header_that_lacks_something_is_refused_in_a_line(change, told, tmp_path, capsys):
+def test_a_header_that_lacks_something_is_refused_in_a_line(change, message, tmp_path, capsys):
     scene = write_scene(tmp_path, REGION)
     path = tmp_path / "clouds" / "cloud.npz"
     path.parent.mkdir()
@@ -187,7 +187,7 @@ def test_a_header_that_lacks_something_is_refused_in_a_line(change, told, tmp_pa
     header = json.loads(str(content["header"]))
     change(header)
     np.savez(path, **content | {"header": json.dumps(header)})
-    assert told in refused(capsys, tmp_path, "detect", path.parent, "--out", tmp_path / "found")
+    assert message in refused(capsys, tmp_path, "detect", path.parent, "--out", tmp_path / "found")
 
 
 def test_a_cloud_is_read_as_it_was_written(scene, tmp_path, capsys):

@@ -130,12 +130,12 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize(("name", "content", "told"), [(name, *one) for name, some in BAD.items() for one in some])
-def test_what_is_wrong_is_refused_in_a_line(name, content, told, tmp_path):
+@pytest.mark.parametrize(("name", "content", "message"), [(name, *one) for name, some in BAD.items() for one in some])
+def test_what_is_wrong_is_refused_in_a_line(name, content, message, tmp_path):
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError) as caught:
         read_detected(tmp_path if name.endswith(".txt") else tmp_path / name, POSE)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -196,8 +196,8 @@ def test_perfect_detections_score_one_and_nothing_scores_nothing():
 def test_a_detector_beside_itself_differs_by_nothing_and_one_that_misses_some_loses():
     matches = random_matches(5)
     block = np.arange(matches.frames)
-    for told in paired_intervals([matches] * 3, [matches] * 3, block, 1).values():
-        assert told == {"difference": 0.0, "interval_90": [0.0, 0.0]}
+    for message in paired_intervals([matches] * 3, [matches] * 3, block, 1).values():
+        assert message == {"difference": 0.0, "interval_90": [0.0, 0.0]}
     kept = matches.select(np.arange(len(matches.confidence)) % 2 == 0, np.ones(len(matches.found), bool))
     fewer = paired_intervals([kept] * 3, [matches] * 3, block, 1)["ap_centre_2m"]
     assert fewer["difference"] < 0.0
@@ -245,10 +245,10 @@ def test_false_alarms_of_blocks_without_vehicles_widen_the_interval():
     alarms = [boxes_at(rng.uniform(10, 30, (count, 2)), np.full(count, 0.5)) for count in (0, 1, 5, 0, 9, 2)]
     noisy = [alarms[number // 2] if number % 2 == 0 else perfect[number] for number in range(12)]
     one, other = ([match(boxes, frames, REGION, (0, 0), each) for each in CRITERIA] for boxes in (noisy, perfect))
-    told = paired_intervals(one, other, np.arange(12), 1)["precision_0.3"]
-    low, high = told["interval_90"]
-    assert low < told["difference"] - 0.05
-    assert high > told["difference"] + 0.05
+    message = paired_intervals(one, other, np.arange(12), 1)["precision_0.3"]
+    low, high = message["interval_90"]
+    assert low < message["difference"] - 0.05
+    assert high > message["difference"] + 0.05
 
 
 def test_what_is_undefined_has_no_difference():
@@ -257,9 +257,9 @@ def test_what_is_undefined_has_no_difference():
         [match([boxes] * 4, [frame] * 4, REGION, (0, 0), each) for each in CRITERIA]
         for boxes in (join_boxes([]), boxes_at([(0, 0)], [0.9]))
     )
-    told = paired_intervals(nothing, found, np.arange(4), 1)
-    assert told["precision_0.3"] == {"difference": None, "interval_90": None}
-    assert told["recall_0.3"]["difference"] == -1.0
+    message = paired_intervals(nothing, found, np.arange(4), 1)
+    assert message["precision_0.3"] == {"difference": None, "interval_90": None}
+    assert message["recall_0.3"]["difference"] == -1.0
 
 
 def test_memory_grows_with_the_detections_and_not_with_the_frames_besides():

@@ -102,9 +102,9 @@ def test_a_metric_that_chooses_as_the_detector_loses_nothing(study):
     rows = list(study.rows_of({"RS-16": same}, "hard", study.FREE))
     assert {row["loss"] for row in rows} == {0.0}
     assert {tuple(row["interval_90"]) for row in rows} == {(0.0, 0.0)}
-    told = " ".join(study.verdicts(rows))
-    assert "Primary: pe-vgop holds" in told
-    assert "Secondary: view-coverage holds" in told
+    message = " ".join(study.verdicts(rows))
+    assert "Primary: pe-vgop holds" in message
+    assert "Secondary: view-coverage holds" in message
 
 
 def test_ties_share_their_rank(study):
@@ -125,8 +125,8 @@ def test_what_is_done_is_kept_and_of_its_own_settings_alone(study, tmp_path, cap
 
     copy.write_bytes(gzip.compress(gzip.decompress(copy.read_bytes()), mtime=7))  # as good as another recording here
     assert study.main(words) == 0
-    told = capsys.readouterr().out
-    assert "too few blocks" in told
+    message = capsys.readouterr().out
+    assert "too few blocks" in message
     first = {h: json.loads((tmp_path / "out" / f"decision_clean_{h}.json").read_text()) for h in ("2", study.FREE)}
     chose = {heights: {row["metric"] for row in one["rows"]} for heights, one in first.items()}
     for heights, one in first.items():
@@ -141,7 +141,7 @@ def test_what_is_done_is_kept_and_of_its_own_settings_alone(study, tmp_path, cap
     heights_m = [mount["height_m"] for mount in study.mountings("RS-16", study.FREE, 3)]
     assert {row["metrics_choice"]["height_m"] for row in of_height} == {max(heights_m)}
     assert study.main(words) == 0
-    assert capsys.readouterr().out == told
+    assert capsys.readouterr().out == message
     words[words.index("--choose-frames") + 1] = "2"
     assert study.main(words) == 2
     assert "is of other code, traffic, weights or mountings" in capsys.readouterr().err

@@ -41,11 +41,11 @@ def window(seed=1):
 
 @pytest.mark.parametrize("flip", [(False, False), (True, False), (False, True), (True, True)])
 def test_boxes_that_are_told_are_boxes_that_are_read(flip):
-    told = shown(window(), flip, 4096, np.random.default_rng(0))[1]
-    heat = np.where(told.heat > 0.0, np.log(np.clip(told.heat, 1e-6, 1.0 - 1e-6)), -20.0)
-    heat -= np.log1p(-np.clip(told.heat, 0.0, 1.0 - 1e-6))
+    message = shown(window(), flip, 4096, np.random.default_rng(0))[1]
+    heat = np.where(message.heat > 0.0, np.log(np.clip(message.heat, 1e-6, 1.0 - 1e-6)), -20.0)
+    heat -= np.log1p(-np.clip(message.heat, 0.0, 1.0 - 1e-6))
     area = Area((-51.2, -28.8) if flip[1] else AREA.first_m, *WINDOW)
-    found = boxes_of(np.concatenate([heat, told.box], axis=-1), area)
+    found = boxes_of(np.concatenate([heat, message.box], axis=-1), area)
     rows = window().boxes
     truth = boxes_of_rows([(*row[:7], row[7], 1.0) for row in rows])
     sign = np.where(flip, -1.0, 1.0)
@@ -63,12 +63,12 @@ def test_boxes_that_are_told_are_boxes_that_are_read(flip):
 def test_nothing_is_learnt_about_vehicles_that_no_beam_met():
     boxes = window().boxes
     boxes[2, 8] = 0
-    told = targets_of(boxes, AREA)
+    message = targets_of(boxes, AREA)
     at = tuple(np.floor((boxes[2, :2] - AREA.first_m) / 0.8).astype(int))
-    assert not told.counts[at].any()
-    assert not told.weight[at]
-    assert told.heat.max(axis=-1)[at] == 0.0
-    assert (told.heat == 1.0).sum() == len(boxes) - 1
+    assert not message.counts[at].any()
+    assert not message.weight[at]
+    assert message.heat.max(axis=-1)[at] == 0.0
+    assert (message.heat == 1.0).sum() == len(boxes) - 1
 
 
 def test_jax_finds_the_maxima_and_gives_gradients_to_the_points_that_have_them():
@@ -110,10 +110,10 @@ def test_training_learns_and_goes_on_after_a_stop_as_if_there_had_been_none(tmp_
     monkeypatch.setattr("train_detector.CHECKPOINT_S", -1.0)
     monkeypatch.setattr("train_detector.MOST_POINTS", {"RS-16": 512})
     windows = {"RS-16": [window(seed) for seed in range(2)]}
-    told = []
+    message = []
 
     def advance(steps, note=""):
-        told.append(note)
+        message.append(note)
 
     class Stop(Exception):
         pass

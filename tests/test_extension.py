@@ -26,10 +26,10 @@ BLENDER = shutil.which("blender")
 def made(tmp_path_factory):
     out = tmp_path_factory.mktemp("dist")
     command = [sys.executable, ROOT / "scripts" / "build_extension.py", "--out", out]
-    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    message = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     (path,) = out.iterdir()
-    assert told.startswith(f"{path}: ")
-    assert find_spec("bpy") is None or "Success parsing TOML" in told
+    assert message.startswith(f"{path}: ")
+    assert find_spec("bpy") is None or "Success parsing TOML" in message
     return path
 
 
@@ -62,12 +62,12 @@ def session(command, made, tmp_path, **variables):
     )
     assert run.returncode == 0, run.stdout + run.stderr
     assert not re.search(r"Error|Traceback", run.stdout + run.stderr), run.stdout + run.stderr
-    told = next(json.loads(line) for line in run.stdout.splitlines() if line.startswith('{"version"'))
-    first, second = told["used"]
+    message = next(json.loads(line) for line in run.stdout.splitlines() if line.startswith('{"version"'))
+    first, second = message["used"]
     assert first == second
     assert first["points"] > 1000
     assert {"result.json", "scene.toml", "vehicles.csv"} <= set(first["run"])
-    return told
+    return message
 
 
 def test_it_is_installed_used_and_removed_twice_in_the_bpy_module(made, tmp_path):

@@ -1,4 +1,4 @@
-"""Range noise, drop-out and units on the command line: told in every result, and refused where they cannot be."""
+"""Range noise, drop-out and units on the command line: named in every result, and refused where they cannot be."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def test_a_cloud_tells_its_imperfections_and_the_elevations_of_its_unit(tmp_path
     for name, words in (("plain", ()), ("rough", WORDS)):
         done(capsys, "scan", scene, "--frame", 30, "--out", f"{name}.npz", *words)
     plain, rough = (np.load(f"{name}.npz") for name in ("plain", "rough"))
-    told = [json.loads(str(cloud["header"])) for cloud in (plain, rough)]
-    assert told[0]["imperfections"] == PERFECT
-    assert told[1]["imperfections"] == TOLD
-    off = np.subtract(*(each["ring_elevation_deg"] for each in told))
+    message = [json.loads(str(cloud["header"])) for cloud in (plain, rough)]
+    assert message[0]["imperfections"] == PERFECT
+    assert message[1]["imperfections"] == TOLD
+    off = np.subtract(*(each["ring_elevation_deg"] for each in message))
     assert 0.005 < abs(off).max() < 0.15
     assert 0.6 * len(plain["range_m"]) < len(rough["range_m"]) < 0.9 * len(plain["range_m"])
 
@@ -51,15 +51,15 @@ def test_a_cloud_tells_its_imperfections_and_the_elevations_of_its_unit(tmp_path
 def test_a_run_says_what_is_assumed_of_a_beam_table_that_leaves_it_open(tmp_path, capsys):
     (tmp_path / "own.csv").write_text("ring,elevation_deg\n0,-15\n1,-5\n")
     scene = write_scene(tmp_path, {"sensor": {"name": "own.csv", "rotation_hz": None}})
-    told, _ = done(capsys, "evaluate", scene, "--height", 3, "--out", "own")
-    line = next(line for line in told.splitlines() if "Assumed" in line)
+    message, _ = done(capsys, "evaluate", scene, "--height", 3, "--out", "own")
+    line = next(line for line in message.splitlines() if "Assumed" in line)
     assert line.split(maxsplit=1)[1] == (
         "as its file does not say: 10 turns a second; a column every 55.55 us, 1800 a turn at 10 Hz; "
         "it sees from 0.4 m; it sees to 200 m; range noise 0.02 m where asked for; every beam looks along its column; "
         "all beams of a column fire at once"
     )
-    told, _ = done(capsys, "evaluate", write_scene(tmp_path), "--height", 3, "--out", "shipped")
-    assert "Assumed" not in told
+    message, _ = done(capsys, "evaluate", write_scene(tmp_path), "--height", 3, "--out", "shipped")
+    assert "Assumed" not in message
 
 
 def test_a_result_tells_its_imperfections_and_the_run_says_so(tmp_path, capsys):
@@ -74,8 +74,8 @@ def test_a_result_tells_its_imperfections_and_the_run_says_so(tmp_path, capsys):
         page = Page((tmp_path / name / "report.html").read_text(encoding="utf-8"))
         heading = page.text(page.find("header")[0])
         sheet = (tmp_path / name / "installation.txt").read_text(encoding="utf-8")
-        for told in (out, heading, sheet):
-            assert (line in told) == bool(words)
+        for message in (out, heading, sheet):
+            assert (line in message) == bool(words)
         assert ("imperfect" in heading) == bool(words)
     assert results[1]["imperfections"] == TOLD
     assert results[1]["objective"] == results[2]["objective"] != results[0]["objective"]

@@ -118,8 +118,8 @@ def test_at_an_intersection_the_busiest_approach_is_proposed_and_the_others_are_
     assert centres == pytest.approx([-5.25, -1.75], abs=0.5)
     along = (np.array(layout.placing.origin_m) - (500.0, -200.0)) @ (math.cos(0.1745), math.sin(0.1745))
     assert -60.0 < along < -7.0  # before the crossing, and not on it
-    told = " ".join(layout.notes)
-    assert "an intersection?" in told
+    message = " ".join(layout.notes)
+    assert "an intersection?" in message
     lines = (note.partition(":\n")[2] for note in layout.notes if "another carriageway" in note)
     others = sorted(tomllib.loads(scene)["traffic"]["heading_deg"] for scene in lines)
     assert others == pytest.approx([100.0], abs=0.5)  # and -80 is its own other carriageway, as -170 is that of 10
@@ -140,8 +140,8 @@ def test_a_bend_is_measured_however_sharp_it_is_and_is_one_carriageway(tmp_path,
                     sumo_samples.row(time, id=str(number), x=x, y=y, angle=90.0 - math.degrees(turn), lane="a_0")
                 )
     layout = proposed(write_rows(tmp_path / "run.fcd.xml", rows))
-    told = next(note for note in layout.notes if "bends" in note)
-    assert float(told.split()[4]) == pytest.approx(math.degrees(50.0 / abs(radius_m)), abs=2.0)
+    message = next(note for note in layout.notes if "bends" in note)
+    assert float(message.split()[4]) == pytest.approx(math.degrees(50.0 / abs(radius_m)), abs=2.0)
     sagitta = max(abs(end) for end in layout.stretch_m) ** 2 / (2.0 * abs(radius_m))
     assert sagitta <= 1.1
     assert not any("another carriageway" in note for note in layout.notes)
@@ -328,9 +328,9 @@ def test_a_scene_from_a_table_loads_and_runs_at_once(tmp_path, monkeypatch, caps
     folder.mkdir()
     write_table(folder / "traffic.csv", traffic_rows())
     assert run("init", folder, folder / "traffic.csv") == 0
-    told = capsys.readouterr()
-    assert "blender-lidar optimise " in told.out
-    assert "no picture" in told.err
+    message = capsys.readouterr()
+    assert "blender-lidar optimise " in message.out
+    assert "no picture" in message.err
     scenario = load_scenario(folder / "scene.toml")
     assert 'path = "traffic.csv"' in (folder / "scene.toml").read_text()
     assert scenario.road.lanes == 2
@@ -352,8 +352,8 @@ def test_what_would_stop_a_run_is_told_at_once(tmp_path, monkeypatch, capsys):
     in_feet = [[*row[:at], *(value / FOOT_M for value in row[at : at + 3]), *row[at + 3 :]] for row in traffic_rows()]
     write_table(tmp_path / "traffic.csv", in_feet)
     assert run("init", tmp_path / "site", tmp_path / "traffic.csv") == 0
-    assert "a run will stop: " in (told := capsys.readouterr().err)
-    assert "--accept sizes" in told
+    assert "a run will stop: " in (message := capsys.readouterr().err)
+    assert "--accept sizes" in message
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 33.0, 121.0])
@@ -369,10 +369,10 @@ def test_init_says_that_a_run_will_stop_where_one_does_and_nowhere_else(heading_
             rows.append([row[0], 2 * row[1] + part, "truck", *place, length, 2.5, 3.6, heading_deg, row[9]])
     write_table(tmp_path / "traffic.csv", rows)
     assert run("init", tmp_path / "site", tmp_path / "traffic.csv") == 0
-    told = capsys.readouterr().err
+    message = capsys.readouterr().err
     how = ("--height", 4, "--frames", 3, "--caster", CASTER, "--detail", "box", "--workers", 1)
     assert run("evaluate", tmp_path / "site" / "scene.toml", *how, "--out", tmp_path / "run") == 0
-    assert "a run will stop" not in told
+    assert "a run will stop" not in message
 
 
 def test_the_example_runs_and_the_pictures_are_drawn(tmp_path):
@@ -395,7 +395,7 @@ def test_a_sumo_scene_holds_the_files_that_were_given(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ((), "0 files given"),
         (("--from", "ngsim"), "0 files given"),
@@ -405,9 +405,9 @@ def test_a_sumo_scene_holds_the_files_that_were_given(tmp_path, monkeypatch):
         (("--from", "sumo", "run.csv", "--period", "1"), "does not apply"),
     ],
 )
-def test_wrong_words_are_told_and_leave_nothing(tmp_path, capsys, words, told):
+def test_wrong_words_are_told_and_leave_nothing(tmp_path, capsys, words, message):
     assert run("init", tmp_path / "site", *words) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "site").exists()
 
 

@@ -200,7 +200,7 @@ def test_a_spin_within_its_bounds_is_on_none_of_them(tmp_path, capsys):
 def test_both_forms_of_one_orientation_as_a_result_has_them_are_one(tmp_path, tilts):
     site = bl.load_scene(write_scene(tmp_path), workers=1)
     mount = {**PLACE, **dict(zip(("tilt_x_deg", "tilt_y_deg", "yaw_deg"), tilts, strict=True))}
-    told = mounting(mount).as_table()
-    assert bl.score_mounting(site, **told).mounting == told
+    message = mounting(mount).as_table()
+    assert bl.score_mounting(site, **message).mounting == message
     with pytest.raises(InputError, match="its lean is not that of its tilts and yaw"):
-        bl.score_mounting(site, **{**told, "lean_deg": 7.0})
+        bl.score_mounting(site, **{**message, "lean_deg": 7.0})

@@ -66,9 +66,11 @@ def test_every_sentence_of_an_optimum_in_more_than_two_coordinates_names_them_al
     assert code == 0, err
     text = " ".join(out.split())
     assert "3 searches with other seeds ended at x along the road" in text
-    told = text[text.index("Other traffic of this kind would put the best") :]
-    assert all(name in told for name in ("x along the road between", "height between", "tilt across the road between"))
-    assert "among the" in told
+    message = text[text.index("Other traffic of this kind would put the best") :]
+    assert all(
+        name in message for name in ("x along the road between", "height between", "tilt across the road between")
+    )
+    assert "among the" in message
     if "heights and tilts" in text:
         assert "heights and tilts, the other coordinates as the search had found them" in text
 
@@ -78,19 +80,19 @@ def test_a_run_that_was_stopped_and_goes_on_comes_to_the_same_spread(tmp_path, c
     scene, tells = write_scene(tmp_path / "cut", {**THREE, **BUDGET, "traffic": {"block_s": 10.0}}), []
     from blender_lidar.run import replay
 
-    told = replay._tell
+    message = replay._tell
     monkeypatch.setattr(replay, "_STORE_EVERY_S", 0.0)
 
     def interrupted(*given):
         tells.append(1)
         if len(tells) == 12:  # in the second search
             raise KeyboardInterrupt
-        told(*given)
+        message(*given)
 
     monkeypatch.setattr(replay, "_tell", interrupted)
     folder = tmp_path / "cut" / "run"
     assert cli(capsys, "optimise", scene, "--out", folder, *WORDS)[0] == 1
-    monkeypatch.setattr(replay, "_tell", told)
+    monkeypatch.setattr(replay, "_tell", message)
     out, _ = done(capsys, "optimise", scene, "--out", folder, *WORDS, "--resume")
     again = json.loads(out)
     assert again["spread"] == whole["spread"]

@@ -1,4 +1,4 @@
-"""Runs with every metric: what is maximised, stored and told."""
+"""Runs with every metric: what is maximised, stored and shown."""
 
 from __future__ import annotations
 

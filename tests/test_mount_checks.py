@@ -18,7 +18,7 @@ def scene(folder, deployment=None, **tables):
 
 
 @pytest.mark.parametrize(
-    ("deployment", "told"),
+    ("deployment", "message"),
     [
         ({"tilt_x_deg": [0.0, 0.44]}, r"tilt_x_deg: is \[0, 0.44\] degrees; probably radians: \[0, 25\] in degrees"),
         ({"tilt_x_deg": [0.0, 0.4363]}, r"probably radians: \[0, 25\].*give other bounds"),
@@ -28,8 +28,8 @@ def scene(folder, deployment=None, **tables):
         ({"tilt_x_deg": None, "lean_deg": [0.0, 0.35], "lean_direction_deg": 0.0}, r"lean_deg: .* \[0, 20\]"),
     ],
 )
-def test_an_angle_that_is_searched_in_radians_is_refused(deployment, told, tmp_path):
-    with pytest.raises(InputError, match=told):
+def test_an_angle_that_is_searched_in_radians_is_refused(deployment, message, tmp_path):
+    with pytest.raises(InputError, match=message):
         scene(tmp_path, deployment)
 
 
@@ -55,7 +55,7 @@ def test_degrees_are_not_taken_for_radians(key, ends):
     assert in_radians(key, ends) is None
 
 
-NOTES = {  # by name: [deployment], other tables, and what is told
+NOTES = {  # by name: [deployment], other tables, and what is said
     "a fixed tilt in radians": ({"tilt_x_deg": 0.26}, {}, "tilt_x_deg of [deployment] is 0.26 degrees; is that 15"),
     "a baseline in radians": ({}, {"baseline": {"tilt_x_deg": 0.35}}, "tilt_x_deg of [baseline] is 0.35 degrees"),
     "a mast of 60 m": ({"height_m": [20.0, 60.0]}, {}, "heights up to 60 m are searched"),
@@ -84,8 +84,8 @@ RIGHT = {
 
 @pytest.mark.parametrize("case", NOTES)
 def test_what_may_be_wrong_is_told(case, tmp_path):
-    deployment, tables, told = NOTES[case]
-    assert told in " | ".join(mount_notes(scene(tmp_path, deployment, **tables)))
+    deployment, tables, message = NOTES[case]
+    assert message in " | ".join(mount_notes(scene(tmp_path, deployment, **tables)))
 
 
 @pytest.mark.parametrize("case", RIGHT)

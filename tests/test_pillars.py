@@ -161,7 +161,7 @@ def damaged(path, **changed):
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"head.w": np.zeros((3, 3, 4, 4))}, "another network; needed: head.w (3, 3, 32, 32)"),
         ({"out.b": None}, "needed: out.b (11,)"),
@@ -172,10 +172,10 @@ def damaged(path, **changed):
         ({"card": "{"}, "is no file of weights"),
     ],
 )
-def test_weights_of_another_network_are_refused(tmp_path, changed, told):
+def test_weights_of_another_network_are_refused(tmp_path, changed, message):
     with pytest.raises(InputError, match="weights") as raised:
         load_weights(damaged(tmp_path / "weights.npz", **changed))
-    assert told in str(raised.value)
+    assert message in str(raised.value)
 
 
 def test_files_that_hold_no_weights_are_refused_in_one_line(tmp_path, capsys):
@@ -278,17 +278,17 @@ def test_what_is_unlike_the_training_is_told_and_what_is_like_it_is_not(i80):
     site, mount, cloud = i80
     usual = detector(site, mount)
 
-    def told(xyz) -> str:
+    def message(xyz) -> str:
         return " ".join(usual.notes([usual.detect(replace(cloud(0), xyz=xyz))[1]]))
 
-    assert told(cloud(0).xyz) == ""
+    assert message(cloud(0).xyz) == ""
     high = detector(site, mount, height_m=9.0)
     assert "hangs 9 m high, but from " in " ".join(high.notes())
     other = PillarsDetector("OS1-128", mount.pose, (-50.0, -6.0), (50.0, 32.0))
     assert "was trained on RS-16, RS-32, RS-80, not on OS1-128" in " ".join(other.notes())
     off = np.random.default_rng(1).normal(0.0, 0.15, (len(cloud(0)), 1)) * [0.0, 0.0, 1.0]
-    assert "m uneven in the median" in told(cloud(0).xyz + off)
-    assert "too little ground" in told(cloud(0).xyz + np.array([0.0, 0.0, 3.0]))
+    assert "m uneven in the median" in message(cloud(0).xyz + off)
+    assert "too little ground" in message(cloud(0).xyz + np.array([0.0, 0.0, 3.0]))
 
 
 def test_traffic_off_the_road_is_told_to_be_unlike_the_training(i80):

@@ -1,4 +1,4 @@
-"""What cannot be true of traffic stops a run, by name; what is real or generated does not; what is accepted is told."""
+"""What cannot be true of traffic stops a run, by name; what is real or generated does not; accepted is reported."""
 
 from __future__ import annotations
 
@@ -156,21 +156,21 @@ def test_what_cannot_be_true_of_a_table_stops_with_its_name_and_what_is_probably
 
 
 @pytest.mark.parametrize(
-    ("metres", "told"),
+    ("metres", "message"),
     [
         ((), None),
         (("Local_X", "Local_Y", "v_Length", "v_Width"), r"v_Length and v_Width in metres, where NGSIM.*--accept sizes"),
         (("v_Length", "v_Width"), r"v_Length and v_Width in metres, where NGSIM's columns.*--accept sizes"),
     ],
 )
-def test_ngsim_with_metres_where_it_has_feet_stops(metres, told, tmp_path):
+def test_ngsim_with_metres_where_it_has_feet_stops(metres, message, tmp_path):
     given = ngsim.columns(vehicles=40, frames=60)
     ngsim.write(tmp_path, ngsim.native(given | {name: (given[name] * 0.3048).round(3) for name in metres}))
     scene = load_scenario(write_scene(tmp_path, {"traffic": {"path": "recording.txt"}, "road": {"lanes": 6}}))
-    if told is None:
+    if message is None:
         assert read_recording(scene).report.warnings == ()
     else:
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=message):
             read_recording(scene)
 
 
@@ -186,8 +186,8 @@ RS_80 = {("sensor", "name"): ("RS-80", "x")}
 
 @pytest.mark.parametrize(("changes", "edge_m"), [({}, 36.0), (STRETCH, 36.0), (RS_80, 72.0)])
 def test_a_carriageway_that_lies_beside_its_vehicles_stops(changes, edge_m):
-    told = r"check \[road\] right_edge_m, in metres .*: vehicles drive at Local_X.*--accept carriageway"
-    with pytest.raises(InputError, match=told):
+    message = r"check \[road\] right_edge_m, in metres .*: vehicles drive at Local_X.*--accept carriageway"
+    with pytest.raises(InputError, match=message):
         prepare(load_scenario("i80", {**EXACT, **changes, ("road", "right_edge_m"): (edge_m, "x")}))
 
 
@@ -205,9 +205,9 @@ def test_vehicles_against_the_travel_on_the_carriageway_are_told(tmp_path):
     notes = read_recording(load_scenario(scene_of(tmp_path / "one way", rows))).report.notes
     assert not any("against +x" in note for note in notes)
     notes = read_recording(load_scenario(scene_of(tmp_path / "two ways", both_ways(table(), 0.0)))).report.notes
-    told = [note for note in notes if "drive against +x and count as the others do" in note]
-    assert len(told) == 1
-    assert 40 <= int(told[0].split()[0]) <= 60
+    message = [note for note in notes if "drive against +x and count as the others do" in note]
+    assert len(message) == 1
+    assert 40 <= int(message[0].split()[0]) <= 60
 
 
 HEIGHTS = {  # of z_m, by the row, and whether they are refused
@@ -230,13 +230,13 @@ def test_heights_that_are_not_of_the_middles_stop(case, tmp_path):
             read_recording(scene)
 
 
-@pytest.mark.parametrize(("shift_m", "told"), [(0.0, False), (4.0, True)])
-def test_vehicles_beside_a_stretch_of_the_carriageway_are_told(shift_m, told, tmp_path):
+@pytest.mark.parametrize(("shift_m", "message"), [(0.0, False), (4.0, True)])
+def test_vehicles_beside_a_stretch_of_the_carriageway_are_told(shift_m, message, tmp_path):
     write_table(tmp_path / "traffic.csv", table(y_m=lambda row: row["y_m"] + shift_m))
     region = {"region": {"stretches": [{"x_m": [-40.0, 40.0]}]}}
     accepted = {"traffic": {"accept": ["carriageway"]}}
     notes = read_recording(load_scenario(write_scene(tmp_path, {**region, **accepted}))).report.notes
-    assert any("and do not count" in note for note in notes) is told
+    assert any("and do not count" in note for note in notes) is message
 
 
 def stream(number, heading_deg, y_m, every_s, speed_m_s=10.0, x_m=0.0):
@@ -415,8 +415,8 @@ def test_what_is_accepted_stands_first_in_all_that_a_run_leaves(how, tmp_path, c
     out, _ = done(capsys, "evaluate", scene, "--height", 4, *words, "--out", tmp_path / "run")
     text = " ".join(out.split())
     first = [f"Warning, accepted ({name}): " for name in ("sizes", "carriageway")]
-    told = text[text.index(first[0]) :]
-    assert told.index(first[1]) < told.index("The RS-16 4.00 m above the road")
+    message = text[text.index(first[0]) :]
+    assert message.index(first[1]) < message.index("The RS-16 4.00 m above the road")
     result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
     assert [one["name"] for one in result["warnings"]] == ["sizes", "carriageway"]
     sheet = (tmp_path / "run" / "installation.txt").read_text(encoding="utf-8")

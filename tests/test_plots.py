@@ -354,8 +354,8 @@ def test_occupancy_fits_a_truck_and_a_motorcycle_on_the_sheet(size, tmp_path, fi
 def test_nothing_of_a_run_that_holds_nothing_out_speaks_of_held_out_frames(tmp_path, figures, capsys, holdout):
     changes = {"traffic": {"holdout": holdout}, "search": {"iterations": 1}}
     out, _ = done(capsys, "optimise", write_scene(tmp_path, changes), "--out", tmp_path / "run")
-    told = [words(figure) for figure in figures]
-    assert any("held-out" in text for text in told) == bool(holdout)
+    message = [words(figure) for figure in figures]
+    assert any("held-out" in text for text in message) == bool(holdout)
     pages = [(tmp_path / "run" / name).read_text(encoding="utf-8") for name in ("report.html", "installation.txt")]
     for text in (out, *pages):
         assert ("held-out" in text) == bool(holdout)

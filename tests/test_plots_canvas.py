@@ -129,6 +129,6 @@ def test_footprints_equal_corners_turned_one_by_one():
 def test_a_matplotlib_that_is_too_old_is_told_in_one_line(tmp_path, monkeypatch):
     matplotlib = pytest.importorskip("matplotlib", reason="charts need matplotlib")
     monkeypatch.setattr(matplotlib, "__version_info__", (3, 6, 3, "final", 0))
-    told = "^charts need matplotlib 3.7 or later, and .* is installed$"
-    with pytest.raises(MissingExtraError, match=told), canvas.sheet(tmp_path / "a.png", 80.0, "title", ""):
+    message = "^charts need matplotlib 3.7 or later, and .* is installed$"
+    with pytest.raises(MissingExtraError, match=message), canvas.sheet(tmp_path / "a.png", 80.0, "title", ""):
         pass

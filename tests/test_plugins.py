@@ -1,4 +1,4 @@
-"""Metrics and searches of one's own: by name everywhere, with the digits of ours, and told in one line where broken."""
+"""Metrics and searches of one's own: by name everywhere, with the digits of ours, one line where broken."""
 
 from __future__ import annotations
 
@@ -230,9 +230,9 @@ def test_a_run_whose_plugin_has_changed_is_not_gone_on_with(tmp_path, own, capsy
     words = ("optimise", scene, *BUDGET, "--search", f"{path}:Drawn", "--workers", 1, "--out", tmp_path / "run")
     done(capsys, *words)
     path.write_text(DRAWN.replace("(5,", "(4,"))
-    code, _, told = cli(capsys, *words, "--resume")
+    code, _, message = cli(capsys, *words, "--resume")
     assert code == 2
-    assert "had [search] method = 'own.py:Drawn, file with SHA-256" in told
+    assert "had [search] method = 'own.py:Drawn, file with SHA-256" in message
 
 
 METRIC_FAULTS = {
@@ -258,10 +258,10 @@ def test_a_broken_metric_is_told_in_one_line(tmp_path, own, text):
 def test_a_metric_that_breaks_in_a_worker_is_told_in_one_line(tmp_path, own, capsys):
     path = own("import os, blender_lidar as bl\nME = os.getpid()\n@bl.metric\ndef f(returns):\n    return 1 / 0\n")
     words = ("--metric", f"{path}:f", "--workers", 2, "--out", tmp_path / "run")
-    code, _, told = cli(capsys, "optimise", write_scene(tmp_path, MAPPED), *BUDGET, *words)
+    code, _, message = cli(capsys, "optimise", write_scene(tmp_path, MAPPED), *BUDGET, *words)
     assert code == 2
-    assert told.splitlines()[-1].endswith(f"{path}:f', line 5: ZeroDivisionError: division by zero")
-    assert "Traceback" not in told
+    assert message.splitlines()[-1].endswith(f"{path}:f', line 5: ZeroDivisionError: division by zero")
+    assert "Traceback" not in message
 
 
 SEARCH = "class S:\n    def __init__(self, lower, upper, *, seed, budget): self.x = [lower]\n"
@@ -291,13 +291,13 @@ def test_a_plugin_that_is_not_there_is_told_with_what_is(tmp_path, capsys):
     scene = write_scene(tmp_path, MAPPED)
     with pytest.raises(BlenderLidarError, match=r"nowhere.py: there is no such file"):
         bl.load_scene(scene, metric="nowhere.py:f")
-    code, _, told = cli(capsys, "optimise", scene, "--search", "hardend")
+    code, _, message = cli(capsys, "optimise", scene, "--search", "hardend")
     assert code == 2
-    assert "--search: unknown search 'hardend'; did you mean 'hardened'?" in told
-    assert "FILE.py:NAME" in told
-    code, _, told = cli(capsys, "optimise", scene, "--reading", "own.py:f")
+    assert "--search: unknown search 'hardend'; did you mean 'hardened'?" in message
+    assert "FILE.py:NAME" in message
+    code, _, message = cli(capsys, "optimise", scene, "--reading", "own.py:f")
     assert code == 2
-    assert "invalid choice" in told
+    assert "invalid choice" in message
 
 
 def test_a_metric_called_as_another_column_is_refused(tmp_path, own):

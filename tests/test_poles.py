@@ -172,18 +172,18 @@ def test_a_run_over_poles_that_was_stopped_goes_on_to_the_same_ranking(ran, tmp_
     whole, _ = done(capsys, "optimise", scene, "--out", tmp_path / "whole", *WORDS)
     from blender_lidar.run import replay
 
-    told, tells = replay._tell, []
+    message, tells = replay._tell, []
     monkeypatch.setattr(replay, "_STORE_EVERY_S", 0.0)
 
     def interrupted(*given):
         tells.append(1)
         if len(tells) == 5:  # on the second pole
             raise KeyboardInterrupt
-        told(*given)
+        message(*given)
 
     monkeypatch.setattr(replay, "_tell", interrupted)
     assert cli(capsys, "optimise", scene, "--out", tmp_path / "cut", *WORDS)[0] == 1
-    monkeypatch.setattr(replay, "_tell", told)
+    monkeypatch.setattr(replay, "_tell", message)
     again, _ = done(capsys, "optimise", scene, "--out", tmp_path / "cut", *WORDS, "--resume")
     assert without_times(json.loads(again)) == without_times(json.loads(whole))
 

@@ -81,14 +81,14 @@ def test_each_cloud_has_the_boxes_of_its_frame(table):
 
 
 @pytest.mark.parametrize(
-    ("clouds", "frames", "told"),
+    ("clouds", "frames", "message"),
     [
         ("a", None, "holds 2 frames, 1 to 2, for 1 clouds; give --frame with a number for each cloud"),
         ("ab", (1,), "--frame: 1 numbers; allowed: one for each of the 2 clouds"),
         ("a", (3,), "no frame 3; the recording has 2 frames from 1 to 2"),
     ],
 )
-def test_clouds_that_have_no_frame_are_refused(table, clouds, frames, told):
+def test_clouds_that_have_no_frame_are_refused(table, clouds, frames, message):
     paths = [str(table.with_name(f"{name}.npz")) for name in clouds]
-    with pytest.raises(InputError, match=re.escape(told)):
+    with pytest.raises(InputError, match=re.escape(message)):
         list(tabled_frames(paths, str(table), frames))

@@ -1,4 +1,4 @@
-"""Several recordings, [[traffic]]: each counts by its weight, blocks are resampled within it, the worst is told."""
+"""Several recordings, [[traffic]]: each counts by its weight, blocks are resampled within it, the worst is named."""
 
 from __future__ import annotations
 
@@ -106,8 +106,8 @@ def test_two_copies_of_one_recording_score_as_it_does_with_intervals_from_twice_
     twice = evaluated(capsys, scene_of(tmp_path, MORNING, MORNING | {"name": "again"}), tmp_path / "b")
     assert twice["objective_per_vehicle"] == pytest.approx(alone["objective_per_vehicle"], rel=1e-12)
     assert twice["holdout"]["blocks"] == 2 * alone["holdout"]["blocks"]
-    told = "have the same vehicles in the same places: check their paths"
-    assert [told in " ".join(one["notes"]) for one in (alone, twice)] == [False, True]
+    message = "have the same vehicles in the same places: check their paths"
+    assert [message in " ".join(one["notes"]) for one in (alone, twice)] == [False, True]
     width = [np.diff(one["holdout"]["interval_90"])[0] for one in (alone, twice)]
     assert 0.4 * width[0] < width[1] < 0.75 * width[0]  # 1 over the root of 2, and more degrees of freedom
 
@@ -196,7 +196,7 @@ def test_an_option_about_all_holds_for_each(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("second", "told"),
+    ("second", "message"),
     [
         (MORNING, "[[traffic]] 2 name: is 'morning', as of another recording; allowed: a name for each"),
         (EVENING | {"weight": 0.0}, "[[traffic]] 2 weight: is 0.0; allowed: more than 0"),
@@ -204,10 +204,10 @@ def test_an_option_about_all_holds_for_each(tmp_path):
         ({"frames": 3}, "[[traffic]] 2 path: is missing"),
     ],
 )
-def test_a_wrong_second_table_is_refused_with_its_number(tmp_path, second, told):
+def test_a_wrong_second_table_is_refused_with_its_number(tmp_path, second, message):
     with pytest.raises(InputError) as error:
         load_scenario(scene_of(tmp_path, MORNING, second))
-    assert told in str(error.value)
+    assert message in str(error.value)
 
 
 def test_a_recording_of_which_no_vehicle_counts_is_refused_by_its_name(tmp_path, capsys):

@@ -177,8 +177,8 @@ def test_the_regret_on_held_out_frames_is_the_gain_that_the_maps_best_mounting_h
 def test_a_regret_on_held_out_frames_is_told_when_it_is_not_small(mapped_run, regret, says):
     result = result_of(mapped_run[0])
     result["map"]["holdout_regret"] = regret
-    told = " ".join(cautions(result))
-    assert says in told if says else "lacks" not in told
+    message = " ".join(cautions(result))
+    assert says in message if says else "lacks" not in message
 
 
 def test_a_run_that_has_ended_is_shown_again_by_resume_with_its_map(mapped_run, capsys):

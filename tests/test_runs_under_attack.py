@@ -180,7 +180,7 @@ def test_a_stop_while_charts_are_drawn_says_how_to_go_on(attack, tmp_path, scene
         wait_for((out / "result.json").exists)
         run.send(signal.SIGINT)
         if run.code() not in (0, -signal.SIGINT):
-            break  # else it had drawn them all when it was told, or was a process that ends
+            break  # else it had drawn them all when it was stopped, or was a process that ends
     assert run.code() == 1
     check_stopped(run)
     assert run.stderr.splitlines()[-1] == f"blender-lidar: stopped; go on with: --out {out} --resume"
@@ -229,8 +229,8 @@ def test_a_run_whose_disk_is_full_fails_naming_the_file_and_goes_on_when_there_i
     ("number", "kind", "code"), [("ENOSPC", WriteError, 1), ("EIO", WriteError, 1), ("EROFS", OutputError, 2)]
 )
 def test_a_good_place_on_a_full_disk_is_no_wrong_input(number, kind, code):
-    told = output_error("a.csv: cannot be written", OSError(getattr(errno, number), "why"))
-    assert (type(told), told.exit_code, str(told)) == (kind, code, "a.csv: cannot be written: why")
+    message = output_error("a.csv: cannot be written", OSError(getattr(errno, number), "why"))
+    assert (type(message), message.exit_code, str(message)) == (kind, code, "a.csv: cannot be written: why")
 
 
 def test_a_temporary_folder_that_cannot_be_written_is_not_called_the_output(tmp_path, monkeypatch):
@@ -280,8 +280,8 @@ def test_of_many_runs_at_once_in_one_folder_one_is_carried_out(attack, tmp_path,
     codes = [run.code() for run in runs]
     assert codes.count(0) == 1
     for run, code in zip(runs, codes, strict=True):
-        told = run.stderr.splitlines()
-        assert code == 0 or (code == 2 and len(told) == 1)
+        message = run.stderr.splitlines()
+        assert code == 0 or (code == 2 and len(message) == 1)
     check_same(tmp_path / "run", undisturbed)
 
 

@@ -154,8 +154,8 @@ def test_a_wrong_value_is_refused_with_the_file_the_table_and_the_key(tmp_path, 
     tables["search"] = 'method = "de-pso"\n' if key != "method" else ""  # which alone has all of [search]'s keys
     tables[table] = f"{key} = {value}\n" if key == "path" else tables.get(table, "") + f"{key} = {value}\n"
     text = "".join(f"[{name}]\n{content}" for name, content in tables.items())
-    told = refusal(tmp_path, text)
-    assert told.startswith((f"[{table}] {key}: is ", f"[{table}] {key}: unknown ", f"[{table}.{key}]: is "))
+    message = refusal(tmp_path, text)
+    assert message.startswith((f"[{table}] {key}: is ", f"[{table}] {key}: unknown ", f"[{table}.{key}]: is "))
 
 
 def test_a_tolerance_is_none_unless_said_and_its_half_widths_are_nought(tmp_path):
@@ -195,9 +195,9 @@ UNREADABLE = {
 }
 
 
-@pytest.mark.parametrize(("text", "told"), UNREADABLE.items(), ids=list(UNREADABLE.values()))
-def test_what_no_scene_says_is_refused_with_its_place_and_the_nearest(tmp_path, text, told):
-    assert refusal(tmp_path, text).startswith(told)
+@pytest.mark.parametrize(("text", "message"), UNREADABLE.items(), ids=list(UNREADABLE.values()))
+def test_what_no_scene_says_is_refused_with_its_place_and_the_nearest(tmp_path, text, message):
+    assert refusal(tmp_path, text).startswith(message)
 
 
 def test_an_option_is_named_in_place_of_the_file(tmp_path):
@@ -298,7 +298,7 @@ def field(table, key):
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"sensor": {"rotation_hz": 7}}, "panel: rotation_hz of sensor: RS-16 does not turn at 7"),
         ({"sensor": {"range_gate_m": -1.0}}, "panel: range_gate_m of sensor: is -1.0; allowed: more than 0"),
@@ -312,9 +312,9 @@ def field(table, key):
         ({"sensor": 3}, "panel: part of sensor: is 3; allowed: a table"),
     ],
 )
-def test_what_is_wrong_with_a_value_names_the_panels_field(given, told):
+def test_what_is_wrong_with_a_value_names_the_panels_field(given, message):
     given = {"traffic": {"path": "traffic.csv"}, **given}
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         scenario_of(given, where=field, source="window")
 
 

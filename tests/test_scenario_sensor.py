@@ -154,8 +154,8 @@ def test_a_data_sheet_says_how_far_a_dark_target_is_seen_or_that_no_source_does(
     if found:
         assert load_scenario(scene(tmp_path, text)).sensor.range_at_10_percent_m == found
     else:
-        told = f"[sensor] range_at_10_percent_m: no source gives that of {name}; allowed: a number"
-        assert refusal(tmp_path, text) == told
+        message = f"[sensor] range_at_10_percent_m: no source gives that of {name}; allowed: a number"
+        assert refusal(tmp_path, text) == message
 
 
 def test_a_unit_with_a_beam_beyond_the_zenith_is_refused_when_the_scene_is_read(tmp_path):

@@ -78,10 +78,10 @@ def test_every_point_of_the_grid_has_its_own_value():
 
 
 def test_progress_counts_every_point_once():
-    told = []
-    map_scores(Hill([(3.0, 10.0)]), SPACE, OPTIMUM, np.zeros(1, dtype=int), told.append)
-    assert sum(told) == POINTS[0] * POINTS[1]
-    assert len(told) > 5
+    message = []
+    map_scores(Hill([(3.0, 10.0)]), SPACE, OPTIMUM, np.zeros(1, dtype=int), message.append)
+    assert sum(message) == POINTS[0] * POINTS[1]
+    assert len(message) > 5
 
 
 @pytest.mark.parametrize("searched", [{}, {"height_m": HEIGHT}, {"tilt_x_deg": TILT}, {"x_m": (-1.0, 1.0)}])

@@ -59,7 +59,7 @@ def problem_of(objective, d=2):
 
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=20), st.integers(1, 60))
 def test_nothing_beyond_the_budget_is_evaluated_or_told(batches, budget):
-    seen, told = [], []
+    seen, message = [], []
     rng = np.random.default_rng(len(batches))
 
     def objective(x):
@@ -71,12 +71,12 @@ def test_nothing_beyond_the_budget_is_evaluated_or_told(batches, budget):
     asked[0][0, 1] = 1.0  # on a bound
     try:
         for candidates in asked:
-            told.extend(counted(candidates).tolist())
+            message.extend(counted(candidates).tolist())
     except BudgetSpent:
         assert sum(batches) > budget
     everything = np.concatenate(asked)[:budget, 0]
     assert seen == everything.tolist()
-    assert told == everything[: len(told)].tolist()
+    assert message == everything[: len(message)].tolist()
     record, best, kept = counted.record(), np.maximum.accumulate(everything), checkpoints(budget)
     assert (kept[0], kept[-1]) == (1, budget)
     assert record["best"] == [best[min(count, len(best)) - 1] for count in kept]
@@ -163,10 +163,10 @@ def test_a_stopped_study_goes_on_and_comes_to_the_same(tmp_path, workers):
     with stopped.locked(), pytest.raises(KeyboardInterrupt):
         carry_out(stopped, small_tasks(), workers, interrupted)
     assert sum(stopped.holds(task.name) for task in small_tasks()) == 1
-    told = []
+    message = []
     with stopped.locked(resume=True):
-        carry_out(stopped, small_tasks(), workers, told.append)
-    assert sum(told) == 3
+        carry_out(stopped, small_tasks(), workers, message.append)
+    assert sum(message) == 3
     found = [[folder.stage(task.name, task.run) for task in small_tasks()] for folder in (whole, stopped)]
     assert found[0] == found[1]
 

@@ -45,7 +45,7 @@ def test_the_same_unit_has_the_same_errors_in_proportion_to_the_spread():
 
 @pytest.mark.parametrize("name", model_names())
 def test_rings_are_numbered_from_this_units_lowest_beam_and_keep_what_is_theirs(name):
-    """Beams are told by the azimuth offset and the firing time that they bring along."""
+    """Beams are known by the azimuth offset and the firing time that they bring along."""
     model, spread = load_model(name), 0.05
     made = unit_of(model, spread, 3)
     assert made.rings == model.rings

@@ -55,8 +55,8 @@ def test_every_page_fits_100_columns_and_shows_every_ring(name, capsys):
 
 def test_a_page_tells_the_columns_that_an_ouster_may_be_set_to(capsys):
     run("OS1-128")
-    told = " ".join(capsys.readouterr().out.split())
-    assert "512 at 10 or 20 Hz, 1024 at 10 or 20 Hz, 2048 at 10 Hz (1024 at 10 Hz is the default)" in told
+    expected = " ".join(capsys.readouterr().out.split())
+    assert "512 at 10 or 20 Hz, 1024 at 10 or 20 Hz, 2048 at 10 Hz (1024 at 10 Hz is the default)" in expected
     run("OS1-128", "--json")
     facts = json.loads(capsys.readouterr().out)
     assert (facts["columns"], facts["columns_a_turn"]) == (1024, [512, 1024, 2048])
@@ -65,21 +65,21 @@ def test_a_page_tells_the_columns_that_an_ouster_may_be_set_to(capsys):
 def test_every_assumption_made_for_a_users_own_table_is_told(tmp_path, capsys):
     path = own_sensor(tmp_path, "0,-10\n1,-5\n")
     run(path)
-    told = " ".join(capsys.readouterr().out.split())
+    expected = " ".join(capsys.readouterr().out.split())
     run(path, "--json")
     assumed = json.loads(capsys.readouterr().out)["assumed"]
     keys = ["rotation_hz", "block_time_us", "range_min_m", "range_max_m", "range_noise_m"]
     assert list(assumed) == [*keys, "azimuth_offset_deg", "fire_offset_us"]
-    assert all(f"{text} ({key})" in told for key, text in assumed.items())
+    assert all(f"{text} ({key})" in expected for key, text in assumed.items())
     run("RS-16")
     assert "assumed" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("name", "told"), [("RS-80", "seen to 160 m"), ("VLP-16", None)])
-def test_how_far_a_dark_target_is_seen_is_told_where_a_source_gives_it(capsys, name, told):
+@pytest.mark.parametrize(("name", "expected"), [("RS-80", "seen to 160 m"), ("VLP-16", None)])
+def test_how_far_a_dark_target_is_seen_is_told_where_a_source_gives_it(capsys, name, expected):
     run(name)
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("10 % target")]
-    assert [line.removeprefix("10 % target").strip() for line in lines] == ([told] if told else [])
+    assert [line.removeprefix("10 % target").strip() for line in lines] == ([expected] if expected else [])
 
 
 def test_json_of_the_list_is_json_alone(capsys):

@@ -151,8 +151,8 @@ def test_sides_that_contradict_the_road_are_refused(text, words, tmp_path):
 def test_words_of_a_mounting_are_true_on_every_side(deployment, said, sheet, tmp_path, capsys, monkeypatch):
     without_charts(monkeypatch)
     path, out = scene(tmp_path, deployment=deployment), tmp_path / "run"
-    told, _ = done(capsys, "evaluate", path, "--height", 6, "--tilt-x", 15, "--out", out)
-    assert said in " ".join(told.split())
+    message, _ = done(capsys, "evaluate", path, "--height", 6, "--tilt-x", 15, "--out", out)
+    assert said in " ".join(message.split())
     assert sheet in " ".join((out / "installation.txt").read_text(encoding="utf-8").split())
     direct = [word for key, value in deployment.items() if key == "facing_deg" for word in ("--facing", value)]
     plain = scene(tmp_path, deployment={key: value for key, value in deployment.items() if key != "facing_deg"})

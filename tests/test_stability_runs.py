@@ -233,9 +233,9 @@ def test_where_only_the_height_is_searched_candidates_differ_by_height_alone(sit
 def test_a_study_of_another_metric_tells_of_no_peak(tiny, tmp_path, capsys):
     scene = write_scene(tmp_path, {"objective": {"metric": "log-points"}})
     out, _ = done(capsys, "stability", scene, "--quick", "--out", tmp_path / "run", "--json")
-    told = {finding["what"] for finding in json.loads(out)["findings"]}
-    assert "optimum on other traffic of this kind" in told
-    assert "views beyond P = 1/e" not in told
+    message = {finding["what"] for finding in json.loads(out)["findings"]}
+    assert "optimum on other traffic of this kind" in message
+    assert "views beyond P = 1/e" not in message
 
 
 def test_fewer_frames_are_not_so_few_that_they_are_empty(site):

@@ -138,7 +138,7 @@ def test_every_change_has_a_row_with_its_loss_its_interval_and_its_optima(drawn,
     np.testing.assert_allclose(span.get_xdata(), [22.0, 24.0])
     np.testing.assert_allclose(mark.get_xdata(), 23.0)
     markers = [lines_at(lost, row)[1].get_marker() for row in range(3)]
-    assert len(set(markers)) == 3  # verdicts are told apart without colour
+    assert len(set(markers)) == 3  # verdicts differ without colour
     assert (tmp_path / "changes.png").stat().st_size > 1000
 
 

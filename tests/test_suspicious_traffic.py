@@ -1,4 +1,4 @@
-"""Files that look right and are not: each stops a run or is told in a note, and right ones like them are silent."""
+"""Files that look right and are not: each stops a run or is a note, and right ones like them are silent."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ STOPS = {  # by name: the rows, the scene, and what the line says
         "100 % of the boxes .* beyond the range gate of 20 m from any mount, and can never be seen",
     ),
 }
-NOTES = {  # by name: the rows, the scene, and what is told
+NOTES = {  # by name: the rows, the scene, and what is said
     "heading_deg 3 degrees off": (
         road_at(33),
         {"traffic": {"heading_deg": 30.0}},
@@ -293,15 +293,15 @@ RIGHT = {  # the same without the fault
 
 @pytest.mark.parametrize("case", STOPS)
 def test_what_cannot_be_true_stops(case, tmp_path):
-    rows, changes, told = STOPS[case]
-    with pytest.raises(InputError, match=told):
+    rows, changes, message = STOPS[case]
+    with pytest.raises(InputError, match=message):
         seen(tmp_path, rows, changes)
 
 
 @pytest.mark.parametrize("case", NOTES)
 def test_what_may_be_wrong_is_told(case, tmp_path):
-    rows, changes, told = NOTES[case]
-    assert told in seen(tmp_path, rows, changes)
+    rows, changes, message = NOTES[case]
+    assert message in seen(tmp_path, rows, changes)
 
 
 @pytest.mark.parametrize("case", RIGHT)
@@ -321,7 +321,7 @@ def test_init_says_that_y_may_be_mirrored_and_its_scene_does_not_say_it_again(mi
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({}, None),
         (
@@ -332,14 +332,14 @@ def test_init_says_that_y_may_be_mirrored_and_its_scene_does_not_say_it_again(mi
     ],
     ids=["right", "Local_X in metres", "cars that are trucks"],
 )
-def test_ngsim_with_a_wrong_column(change, told, tmp_path):
+def test_ngsim_with_a_wrong_column(change, message, tmp_path):
     given = ngsim.columns(vehicles=40, frames=60)
     given |= {name: change_of(given[name]) for name, change_of in change.items()}
     ngsim.write(tmp_path, ngsim.native(given))
     scene = load_scenario(write_scene(tmp_path, {"traffic": {"path": "recording.txt"}, "road": {"lanes": 6}}))
-    if told is None:
+    if message is None:
         notes = " | ".join(read_recording(scene).report.notes)
         assert ("absurd for their class" in notes) is ("v_Class" in change)
     else:
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=message):
             read_recording(scene)

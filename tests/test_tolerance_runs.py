@@ -112,9 +112,9 @@ def test_scores_over_the_tolerance_are_those_that_evaluate_finds(runs, tmp_path,
         out, _ = done(capsys, "evaluate", runs / "scene.toml", *WORDS, *words, "--out", tmp_path / name, "--json")
         found, expected = json.loads(out)["tolerance"]["robust"], result["tolerance"]["robust"]
         assert found["baseline"] == expected["baseline"]
-        told = {**expected[name], "holdout": dict(expected[name]["holdout"])}
-        told["holdout"].pop("over_sharp", None)
-        assert found["optimised"] == told
+        message = {**expected[name], "holdout": dict(expected[name]["holdout"])}
+        message["holdout"].pop("over_sharp", None)
+        assert found["optimised"] == message
 
 
 def test_numbers_over_the_tolerance_agree_with_each_other(runs):
@@ -181,7 +181,7 @@ def kept_on_held_out(result: dict) -> list[str]:
     return ["-" if share is None else f"{100 * share:.1f}" for share in shares]
 
 
-# --- what is told -----------------------------------------------------------------------------------------------------
+# --- what is said -----------------------------------------------------------------------------------------------------
 
 
 def test_the_table_shows_both_optima_and_what_they_keep(runs, tmp_path, capsys):
@@ -275,7 +275,7 @@ def test_an_option_reads_as_the_scenes_table():
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ("tilt=1", "--tolerance: unknown key 'tilt'; did you mean 'tilt_deg'? allowed: height_m, tilt_deg, yaw_deg"),
         ("tilt_deg=-1", "--tolerance tilt_deg: is -1.0; allowed: 0 to 10"),
@@ -286,9 +286,9 @@ def test_an_option_reads_as_the_scenes_table():
         ("yaw_deg=1,yaw_deg=2", "--tolerance: 'yaw_deg=2' is there twice; allowed: such as"),
     ],
 )
-def test_a_wrong_tolerance_is_one_line_that_names_the_key(tmp_path, capsys, given, told):
+def test_a_wrong_tolerance_is_one_line_that_names_the_key(tmp_path, capsys, given, message):
     line = refused(capsys, tmp_path, "optimise", write_scene(tmp_path), "--tolerance", given, "--out", tmp_path / "run")
-    assert line.startswith(f"blender-lidar: {told}")
+    assert line.startswith(f"blender-lidar: {message}")
 
 
 def test_an_option_can_take_a_scenes_tolerance_away(tmp_path):

@@ -33,9 +33,9 @@ def refusal(call) -> str:
 
 
 def refused(text: str, kind: object = float, **declared: object) -> str:
-    told = refusal(lambda: value(text, kind, **declared))
-    assert told.startswith("site.toml: [road] a: ")
-    return told.removeprefix("site.toml: [road] a: ")
+    message = refusal(lambda: value(text, kind, **declared))
+    assert message.startswith("site.toml: [road] a: ")
+    return message.removeprefix("site.toml: [road] a: ")
 
 
 # --- values -----------------------------------------------------------------------------------------------------------
@@ -75,10 +75,10 @@ WRONG = [(kind, allowed, text) for (kind, allowed), texts in WRONG.items() for t
 
 @pytest.mark.parametrize(("kind", "allowed", "text"), WRONG)
 def test_what_is_of_another_kind_is_refused_with_its_value_and_place(kind, allowed, text):
-    told = refused(text, kind)
-    assert told.startswith("is ")
-    assert told.endswith(allowed)
-    assert "; allowed: " in told
+    message = refused(text, kind)
+    assert message.startswith("is ")
+    assert message.endswith(allowed)
+    assert "; allowed: " in message
 
 
 @pytest.mark.parametrize(
@@ -118,8 +118,10 @@ def test_what_is_neither_a_number_nor_that_text_is_refused(text, said):
 
 
 def test_a_text_that_is_none_of_the_allowed_is_refused_with_the_nearest():
-    told = refusal(lambda: checked("maen", Setting(kind=str, allowed=("mean", "max", "min")), "site.toml: [road] view"))
-    assert told == "site.toml: [road] view: unknown view 'maen'; did you mean 'mean'? allowed: mean, max, min"
+    message = refusal(
+        lambda: checked("maen", Setting(kind=str, allowed=("mean", "max", "min")), "site.toml: [road] view")
+    )
+    assert message == "site.toml: [road] view: unknown view 'maen'; did you mean 'mean'? allowed: mean, max, min"
 
 
 def test_what_does_not_fit_is_refused_with_the_form_that_would():
@@ -160,7 +162,7 @@ def test_a_dataclass_declares_a_table_and_the_tables_within_it():
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("pole = 3", "[road.pole]: is 3; allowed: a table"),
         ("pole = {hight_m = 3}", "[road.pole]: unknown key 'hight_m'; did you mean 'height_m'? allowed: height_m, lan"),
@@ -169,9 +171,9 @@ def test_a_dataclass_declares_a_table_and_the_tables_within_it():
         ("poles = [{}, 3]", "[road] poles 2: is 3; allowed: a table"),
     ],
 )
-def test_a_table_that_is_not_as_declared_is_refused_with_its_path(text, told):
+def test_a_table_that_is_not_as_declared_is_refused_with_its_path(text, message):
     settings = table(f'name = "a"\n{text}')
-    assert refusal(lambda: settings.read(settings_of(Site))).startswith(f"site.toml: {told}")
+    assert refusal(lambda: settings.read(settings_of(Site))).startswith(f"site.toml: {message}")
 
 
 # --- places -----------------------------------------------------------------------------------------------------------
@@ -238,14 +240,14 @@ def test_none_is_left_out_and_numpy_numbers_and_tuples_are_written_plainly():
 @pytest.mark.parametrize("path", [r"C:\data\x.csv", r"C:\Users\me\x.csv", r"..\x.csv", r"\\server\x.csv"])
 def test_a_path_with_backslashes_in_double_quotes_is_told_what_to_write_instead(tmp_path, path):
     (tmp_path / "own.toml").write_text(f'[traffic]\nformat = "table"\npath = "{path}"\n')
-    told = refusal(lambda: read_toml(tmp_path / "own.toml"))
-    assert "is not TOML: " in told
-    assert "write paths in single quotes or with forward slashes" in told
+    message = refusal(lambda: read_toml(tmp_path / "own.toml"))
+    assert "is not TOML: " in message
+    assert "write paths in single quotes or with forward slashes" in message
     (tmp_path / "own.toml").write_text(f"[traffic]\npath = '{path}'\n")
     assert read_toml(tmp_path / "own.toml")["traffic"]["path"] == path
 
 
 @pytest.mark.parametrize("path", [r"C:\temp\new.csv", r"data\flow.csv", r"C:\rows\before.csv"])
 def test_a_path_whose_backslashes_make_escapes_is_told_so_too(path):
-    told = refused(f'"{path}"', str, is_path=True)
-    assert "no path; in double quotes a backslash begins an escape: write paths in single quotes" in told
+    message = refused(f'"{path}"', str, is_path=True)
+    assert "no path; in double quotes a backslash begins an escape: write paths in single quotes" in message

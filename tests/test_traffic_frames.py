@@ -199,7 +199,7 @@ def test_vehicles_that_are_parked_all_the_time_change_no_block(recording):
 
 
 @pytest.mark.parametrize(
-    ("searched", "judging", "told"),
+    ("searched", "judging", "message"),
     [
         (10, 10, None),
         (10, None, None),
@@ -208,9 +208,9 @@ def test_vehicles_that_are_parked_all_the_time_change_no_block(recording):
         (1, None, "few different vehicles: 1 in the searched frames; with fewer than 10 an answer may be chance"),
     ],
 )
-def test_few_different_vehicles_are_told(searched, judging, told):
+def test_few_different_vehicles_are_told(searched, judging, message):
     note = few_vehicles(searched, judging)
-    assert note is None if told is None else note.startswith(told)
+    assert note is None if message is None else note.startswith(message)
 
 
 def test_listed_frames_are_all_searched_and_judged_by_later_ones(recording):

@@ -171,8 +171,8 @@ def test_vehicles_keep_whole_numbers_else_are_numbered_as_they_appear(tmp_path, 
     rows = [samples.row(0.1 * at, id=name, x=50 + at) for at, name in enumerate(ids)]
     recording = read_traffic(write(tmp_path, rows))
     assert recording.vehicle_id.tolist() == numbers
-    told = [note for note in recording.report.notes if "by first appearance" in note]
-    assert bool(told) == (numbers != [7, 0, 12])
+    message = [note for note in recording.report.notes if "by first appearance" in note]
+    assert bool(message) == (numbers != [7, 0, 12])
 
 
 @pytest.mark.parametrize(

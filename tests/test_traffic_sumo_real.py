@@ -207,5 +207,7 @@ traci.close()
         command, cwd=folder, env=environment, capture_output=True, text=True, timeout=WAIT_S, check=False
     )
     assert done.returncode == 0, done.stderr
-    told = {name: tuple(map(float, size)) for name, *size in map(str.split, done.stdout.splitlines()) if name in names}
-    assert told == sizes
+    message = {
+        name: tuple(map(float, size)) for name, *size in map(str.split, done.stdout.splitlines()) if name in names
+    }
+    assert message == sizes

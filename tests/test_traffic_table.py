@@ -244,8 +244,8 @@ def test_a_decimal_comma_is_told_from_thousands_or_refused(tmp_path):
     assert refused(plain(tmp_path, small("1,5", mark=",", more="4.5"), ",")).startswith("FILE:2: x_m is '1,5'; allowed")
     for value in ("1,5", "1,234", "1,234.5", "1.234,5"):
         for mark in (";", "\t"):
-            told = refused(plain(tmp_path, small(value, mark=mark, more="4.5"), mark))
-            assert told.startswith(f"FILE:2: x_m is '{value}'; allowed")
+            message = refused(plain(tmp_path, small(value, mark=mark, more="4.5"), mark))
+            assert message.startswith(f"FILE:2: x_m is '{value}'; allowed")
     assert "x_m is '1.234.567'" in refused(plain(tmp_path, small("1.234.567"), ";"))
 
 
@@ -254,8 +254,8 @@ def test_commas_and_points_in_one_file_are_refused_however_far_apart(tmp_path, m
     monkeypatch.setattr(csv_rows, "_CHUNK_ROWS", 1)
     other = first.translate({ord(","): ".", ord("."): ","})
     rows = [*small("1", more=first), *small("2", "2", more="4"), *small("3", "3", more=other)]
-    told = refused(plain(tmp_path, rows, ";"))
-    assert told == f"FILE:{2 if first == '4,5' else 4}: length_m is '4,5'; allowed: more than 0, 0.001 to 1000"
+    message = refused(plain(tmp_path, rows, ";"))
+    assert message == f"FILE:{2 if first == '4,5' else 4}: length_m is '4,5'; allowed: more than 0, 0.001 to 1000"
 
 
 # --- columns that are nearly right ------------------------------------------------------------------------------------
@@ -263,7 +263,7 @@ def test_commas_and_points_in_one_file_are_refused_however_far_apart(tmp_path, m
 
 @pytest.mark.parametrize("mark", [",", ";", "\t", "|", " "])
 @pytest.mark.parametrize(
-    ("header", "told"),
+    ("header", "message"),
     [
         (
             "frame,id,type,x,y,length,width,height,heading",
@@ -283,11 +283,13 @@ def test_commas_and_points_in_one_file_are_refused_however_far_apart(tmp_path, m
         ("frame,vehicle_id,class,x_ft,y_ft,length_ft,width_ft,height_ft,heading_rad", "x_ft to x_m, y_ft to y_m"),
     ],
 )
-def test_a_table_whose_columns_are_nearly_right_is_known_and_the_missing_ones_are_named(tmp_path, header, told, mark):
+def test_a_table_whose_columns_are_nearly_right_is_known_and_the_missing_ones_are_named(
+    tmp_path, header, message, mark
+):
     path = write(tmp_path, header.replace(",", mark), ["1,2,car,3,4,4.5,2,1.5,0".replace(",", mark)])
     line = refused(path)
     assert line.startswith("FILE:1: no column ")
-    assert told in line
+    assert message in line
 
 
 # --- ids that are texts -----------------------------------------------------------------------------------------------
@@ -316,9 +318,9 @@ def test_ids_that_are_texts_are_numbered_as_they_appear(tmp_path, monkeypatch, i
 @pytest.mark.parametrize("bad", ["", "nan", "-1", "1.5", "inf", "NULL"])
 def test_what_is_no_id_is_refused_beside_texts_too(tmp_path, bad):
     rows = [ROWS[0].replace("10,1", "10,veh_1"), ROWS[1].replace("10,2", f"10,{bad}")]
-    told = refused(write(tmp_path, rows=rows))
+    message = refused(write(tmp_path, rows=rows))
     is_number = f"FILE: vehicle_id is {bad!r}; allowed: a whole number of at least 0, or a text"
-    assert told == (is_number if bad in ("-1", "1.5", "inf") else "FILE:3: vehicle_id is missing")
+    assert message == (is_number if bad in ("-1", "1.5", "inf") else "FILE:3: vehicle_id is missing")
 
 
 def test_numbers_that_a_spreadsheet_writes_with_a_point_stay_whole(tmp_path):

@@ -111,12 +111,12 @@ def scores(table, chosen):
 def test_a_run_judges_as_if_heavy_vehicles_were_there_several_times(run):
     outcome, site = run
     result, plan = outcome.result, site.plan
-    for table, told in ((outcome.baseline, result["baseline"]), (outcome.optimised, result)):
-        for split, found in (("search", told), ("holdout", told["holdout"])):
+    for table, message in ((outcome.baseline, result["baseline"]), (outcome.optimised, result)):
+        for split, found in (("search", message), ("holdout", message["holdout"])):
             slow = scores(table, table["split"] == split)
             assert found["objective_per_vehicle"] == pytest.approx(np.mean(slow), abs=1e-5)  # as the table is rounded
             assert found["detectable_share"] == table["detectable"][table["split"] == split].mean()
-        assert told["objective"] == pytest.approx(sum(scores(table, table["split"] == "search")), abs=1e-2)
+        assert message["objective"] == pytest.approx(sum(scores(table, table["split"] == "search")), abs=1e-2)
     gained, weight = [], []
     for block in np.unique(plan.holdout_block):
         of = np.isin(outcome.baseline["frame"], plan.holdout[plan.holdout_block == block])
@@ -169,7 +169,7 @@ def test_a_result_tells_its_weights(run):
 
 
 @pytest.mark.parametrize(
-    ("objective", "told"),
+    ("objective", "message"),
     [
         (
             {"zones": [{"name": "far", "polygon_m": [[900.0, 0.0], [990.0, 0.0], [990.0, 9.0]], "weight": 2.0}]},
@@ -183,11 +183,11 @@ def test_a_result_tells_its_weights(run):
         ({"zones": [{"name": "no weight", "polygon_m": ZONES[0]["polygon_m"]}]}, ("zones 1 weight", "missing")),
     ],
 )
-def test_weights_that_cannot_be_are_refused_in_one_line(tmp_path, objective, told):
+def test_weights_that_cannot_be_are_refused_in_one_line(tmp_path, objective, message):
     scene = write_scene(tmp_path, {"objective": objective})
     with pytest.raises(InputError) as error:
         prepare(load_scenario(scene))
-    assert all(text in str(error.value) for text in told), error.value
+    assert all(text in str(error.value) for text in message), error.value
     assert "\n" not in str(error.value)
 
 

@@ -45,8 +45,8 @@ def test_a_lidar_is_dragged_undone_optimised_stopped_saved_and_opened_again_in_t
     printed = run.stdout + run.stderr
     assert run.returncode == 0, printed
     assert not re.search(r"Error|Traceback", printed), printed
-    told = json.loads(next(line for line in run.stdout.splitlines() if line.startswith('{"points"')))
-    assert told["points"] > 1000
+    message = json.loads(next(line for line in run.stdout.splitlines() if line.startswith('{"points"')))
+    assert message["points"] > 1000
     pictures = sorted((tmp_path / "out").glob("*.png"))
     assert len(pictures) == 7
     assert all(colours(path) > 100 for path in pictures), pictures

@@ -92,8 +92,8 @@ CHARTS = {
     ),
     "convergence.png": (
         "Objective of every mounting tried, in order, and the best so far",
-        "Each dot is a mounting that was tried, the line the best so far: where it runs flat, more trying brought "
-        "nothing.",
+        "Each dot is a mounting that was tried, the line the best so far: where it is flat, further tries found "
+        "nothing better.",
     ),
     "by_distance.png": (
         "Share of detectable vehicles and mean score by distance from the LiDAR, for both mountings",
@@ -111,7 +111,7 @@ CHARTS = {
     "detections.png": (
         "Detections in one frame from above, over vehicles and points",
         "The frame that has the median number of vehicles: outlines are detections, ticks point to their fronts; false "
-        "alarms are dashed, vehicles that nothing was found of hatched.",
+        "alarms are dashed, missed vehicles hatched.",
     ),
     "occupancy.png": (
         "Occupied cells of one vehicle in top, side and front view, for both mountings",

@@ -525,7 +525,9 @@ def _map_notes(result, mounting):
     tilt = best["lean_deg"] if "lean_deg" in best else best["tilt_x_deg"]
     found = []
     if score_map.get("polished"):
-        found.append(f"A point of {grid} was better than what the search had found: from there a local search went on.")
+        found.append(
+            f"A point of {grid} was better than the mounting of the search, so a local search went on from there."
+        )
     elif shortfall == 0:
         found.append(f"No point of {grid} is better than the {mounting}.")
     elif shortfall is not None and shortfall < _SMALL_SHORTFALL:
