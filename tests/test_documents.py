@@ -146,8 +146,8 @@ def options_table() -> str:
     for option, table, key in declared:
         keys_of.setdefault(option, f"[{table}] {key}")  # --height is the key of [deployment], not of [baseline]
     parts = ["## Every option", "", "### Options that replace a scene's keys", ""]
-    parts += ["What they mean is said with [the keys](scene_file.md#every-key).", "", "| option | key |", "|---|---|"]
-    parts += [f"| `{option}` | `{key}` |" for option, key in keys_of.items()]
+    listed = ", ".join(f"`{option}` for `{key}`" for option, key in keys_of.items())
+    parts += [f"{listed}; [every key](scene_file.md#every-key) has its meaning."]
     rows = {}  # of each verb that is left, though it may have two names
     for verb in dict.fromkeys(subparsers.choices.values()):
         has_scene = any(action.dest == "scene" for action in verb._actions)
@@ -164,14 +164,15 @@ def options_table() -> str:
 
 
 def kind_text(declared) -> str:
-    names = {float: "number", int: "whole number", bool: "true or false", str: "text", list: "list"}
+    """What is no plain number or text."""
+    names = {float: "number", int: "whole number", str: "text"}
     kind, parts = declared.kind, get_args(declared.kind)
     if get_origin(kind) is UnionType:
         return "number or pair"
     if get_origin(kind) is tuple:
         first = names.get(parts[0], "list" if get_origin(parts[0]) is tuple else "table")
         return f"list of {first}s" if ... in parts else f"list of {len(parts)} {first}s"
-    return names.get(kind, "table")
+    return {bool: "true or false"}.get(kind, "")
 
 
 def default(declared) -> str:
@@ -182,7 +183,8 @@ def default(declared) -> str:
 def allowed(declared) -> str:
     limits = limits_text(declared, int if declared.kind is int else float)
     text = ", ".join(declared.allowed) or limits or declared.form
-    return text + (f', or "{declared.word}"' if declared.word else "")
+    text += f', or "{declared.word}"' if declared.word else ""
+    return ": ".join(filter(None, (kind_text(declared), text)))
 
 
 def keys_table() -> str:
@@ -191,10 +193,10 @@ def keys_table() -> str:
     for table, settings in DECLARED.items():
         if table == "baseline":
             continue
-        parts += ["", f"### [{table}]", "", "| key | is | default | allowed | meaning |", "|---|---|---|---|---|"]
+        parts += ["", f"### [{table}]", "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
         for meaning, keys in groupby(settings.items(), lambda item: item[1].help):  # some are explained together
             names, declared = zip(*keys, strict=True)
-            columns = [map("`{}`".format, names), *(map(text, declared) for text in (kind_text, default, allowed))]
+            columns = [map("`{}`".format, names), *(map(text, declared) for text in (default, allowed))]
             parts.append(cells(*("; ".join(filter(None, dict.fromkeys(one))) for one in columns), meaning))
     return "\n".join([*parts, ""])
 
