@@ -196,5 +196,5 @@ def test_weights_that_leave_nothing_held_out_are_refused():
     weightless = [replace(frame, weight=np.zeros(len(frame.vehicles))) for frame in FRAMES[1:]]
     check_weights(plain, FRAMES[:1], FRAMES[1:], "[objective]")
     check_weights(plain, FRAMES[:1], [], "[objective]")
-    with pytest.raises(InputError, match=r"held-out frames a weight above 0, so that nothing judges the answer"):
+    with pytest.raises(InputError, match=r"held-out frames a weight above 0, so that there is no check of the answer"):
         check_weights(plain, FRAMES[:1], weightless, "[objective]")
