@@ -142,6 +142,7 @@ def compiled_for(casters):
     from blender_lidar.scene.observation import Observation
     from blender_lidar.scoring.frame_scorer import FrameScorer, singles
     from blender_lidar.sensors.beams import beam_lattice
+    from blender_lidar.sensors.lidar import Lidar
     from blender_lidar.sensors.model import load_model
     from blender_lidar.sensors.pose import Pose
     from blender_lidar.world.scenery import barrier

@@ -108,6 +108,7 @@ def test_a_batch_of_windows_is_each_of_them():
 
 def test_training_learns_and_goes_on_after_a_stop_as_if_there_had_been_none(tmp_path, monkeypatch):
     monkeypatch.setattr("train_detector.CHECKPOINT_S", -1.0)
+    monkeypatch.setattr("train_detector.BATCH", 2)
     monkeypatch.setattr("train_detector.MOST_POINTS", {"RS-16": 512})
     windows = {"RS-16": [window(seed) for seed in range(2)]}
     message = []
@@ -118,19 +119,19 @@ def test_training_learns_and_goes_on_after_a_stop_as_if_there_had_been_none(tmp_
     class Stop(Exception):
         pass
 
-    whole = train(windows, 5, 6, tmp_path / "whole.npz", advance)
+    whole = train(windows, 5, 4, tmp_path / "whole.npz", advance)
 
-    def stop_at_third(*given, calls=[0]):  # noqa: B006
+    def stop_after_two(*given, calls=[0]):  # noqa: B006
         calls[0] += 1
-        if calls[0] > 3:
+        if calls[0] > 2:
             raise Stop
         return batch_of(*given)
 
-    monkeypatch.setattr("train_detector.batch_of", stop_at_third)
+    monkeypatch.setattr("train_detector.batch_of", stop_after_two)
     with pytest.raises(Stop):
-        train(windows, 5, 6, tmp_path / "stopped.npz", advance)
+        train(windows, 5, 4, tmp_path / "stopped.npz", advance)
     monkeypatch.setattr("train_detector.batch_of", batch_of)
-    resumed = train(windows, 5, 6, tmp_path / "stopped.npz", advance)
+    resumed = train(windows, 5, 4, tmp_path / "stopped.npz", advance)
     for name in shapes():
         np.testing.assert_array_equal(resumed[name], whole[name])
     frames = batch_of([shown(one, (False, False), 512, np.random.default_rng(0)) for one in windows["RS-16"]], 512)
