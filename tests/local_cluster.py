@@ -33,7 +33,9 @@ class LocalCluster:
     def __enter__(self) -> LocalCluster:
         message = self._folder / "scheduler.json"
         try:
-            self.scheduler = self._start("dask_scheduler", "--port", 0, "--scheduler-file", message)
+            self.scheduler = self._start(
+                "dask_scheduler", "--port", 0, "--scheduler-file", message, "--idle-timeout", "20 minutes"
+            )
             wait_for(lambda: message.exists() and message.read_text().endswith("}"))
             self.address = json.loads(message.read_text())["address"]
             self.workers = [self.start_worker() for _ in range(self._first)]

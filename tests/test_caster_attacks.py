@@ -63,7 +63,7 @@ def test_the_oracle_misses_no_ray_that_hits_in_exact_arithmetic(attack):
     rng = np.random.default_rng(2)
     every = list(itertools.islice(attacks(attack), 200))
     hits, hairs = 0, 0
-    for number in rng.permutation(len(every))[:4]:
+    for number in rng.permutation(len(every))[:2]:
         one = every[number]
         rows = rng.permutation(len(one.directions))[: 6 if len(one.triangles) < 1000 else 2]
         origins = one.origins if one.origins.ndim == 1 else one.origins[rows]

@@ -228,7 +228,7 @@ def test_workers_that_come_later_are_used_and_one_killed_midway_or_the_only_one_
             assert squares(workers) == SQUARES
         assert squares(workers) == SQUARES
         own_cluster.workers[0].kill()
-        later = threading.Timer(1.0, own_cluster.start_worker)
+        later = threading.Timer(0.3, own_cluster.start_worker)
         later.start()
         assert squares(workers) == SQUARES
         later.join()
@@ -255,7 +255,7 @@ def test_a_paused_worker_is_passed_over_and_what_is_cancelled_is_begun_anew(own_
 )
 def test_when_all_workers_or_the_scheduler_are_gone_for_good_that_is_one_line(own_cluster, monkeypatch, gone, said):
     monkeypatch.setattr(cluster_module, "_LOOK_ROUND_S", 0.2)
-    monkeypatch.setattr(cluster_module, "_NOBODY_S", 1.0)
+    monkeypatch.setattr(cluster_module, "_NOBODY_S", 0.3)
     with closing(ClusterWorkers(square, own_cluster.address)) as workers:
         assert squares(workers) == SQUARES
         process = own_cluster.scheduler if gone == "scheduler" else own_cluster.workers[0]
@@ -292,7 +292,7 @@ def test_an_address_without_a_scheduler_or_without_workers_is_one_line(tmp_path,
             check_refused(f"tcp://127.0.0.1:{port}", "no dask scheduler answers there within 1 s; start one with")
     assert set(threading.enumerate()) == before  # nobody goes on trying
     monkeypatch.setattr(cluster_module, "_ANSWER_S", PATIENCE_S)
-    monkeypatch.setattr(cluster_module, "_NOBODY_S", 1.0)
+    monkeypatch.setattr(cluster_module, "_NOBODY_S", 0.3)
     with LocalCluster(tmp_path, workers=0) as empty:
         check_refused(empty.address, f"has no workers; start some with `dask worker {empty.address} --nthreads 1`$")
 

@@ -111,7 +111,7 @@ def slow_pipeline(vehicles, counted, seen, pose):
     return np.array(points)[counted], np.array(shares).reshape(-1, 3)[counted]
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(
     seed=st.integers(0, 2**32 - 1),
     sensor=st.sampled_from(sorted(LATTICES)),
@@ -150,11 +150,11 @@ def test_mountings_together_and_one_by_one_and_in_any_order_see_the_same(effects
     vehicles = dense_traffic(vehicles=40, length_m=100.0)
     seen = observation(LATTICES["RS-LiDAR-32"], imperfections=effects)
     rng = np.random.default_rng(3)
-    poses = [Pose(0.0, 0.0, rng.uniform(2, 4.5), rng.uniform(0, 0.4)) for _ in range(12)]
+    poses = [Pose(0.0, 0.0, rng.uniform(2, 4.5), rng.uniform(0, 0.4)) for _ in range(5)]
     scorer = FrameScorer(vehicles, everyone(vehicles), seen)
     together = scorer.see(singles(poses))
     np.testing.assert_array_equal(scorer.see(singles(poses[::-1])).occupancy[::-1], together.occupancy)
-    assert (together.points.shape, together.occupancy.shape) == ((12, 40), (12, 40, 3))
+    assert (together.points.shape, together.occupancy.shape) == ((5, 40), (5, 40, 3))
     for number, pose in enumerate(poses):
         alone = FrameScorer(vehicles, everyone(vehicles), seen).see(singles([pose]))
         np.testing.assert_array_equal(together.points[number], alone.points[0])
@@ -234,8 +234,10 @@ def _compiles(caster):
 
 
 @pytest.mark.usefixtures("_compiles")
-@pytest.mark.parametrize("scenery", [False, True], ids=["open", "hidden"])
-@pytest.mark.parametrize("effects", EFFECTS)
+@pytest.mark.parametrize(
+    ("effects", "scenery"),
+    [*((effects, effects in ("drop-out", "glass", "weak")) for effects in EFFECTS), ("all", True)],
+)
 def test_compiled_passes_count_what_numpys_count_to_the_last_digit(caster, effects, scenery, monkeypatch):
     """Whatever the sensor loses and whatever stands about, which once went through NumPy, more than twice as slow."""
     counted = np.random.default_rng(1).random(len(TRAFFIC)) < 0.7
@@ -257,8 +259,7 @@ def test_compiled_passes_count_what_numpys_count_to_the_last_digit(caster, effec
 
 
 @pytest.mark.usefixtures("_compiles")
-@pytest.mark.parametrize("detail", ["box", "detailed"])
-@pytest.mark.parametrize("culled", [True, False])
+@pytest.mark.parametrize(("detail", "culled"), [("box", False), ("detailed", True)])
 def test_compiled_passes_do_so_at_every_detail_and_without_culling(detail, culled):
     scorer = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(detail=detail, culled=culled))
     assert_same(scorer.see(singles(POSES)), scorer.see(singles(POSES), keep_returns=True))
@@ -310,12 +311,11 @@ def test_beams_that_meet_but_the_margin_of_a_triangle_are_decided_in_float64(cas
 # --- scans ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scenery", [False, True], ids=["open", "hidden"])
-@pytest.mark.parametrize("effects", ["perfect", "noise", "all"])
+@pytest.mark.parametrize(("effects", "scenery"), [("perfect", False), ("all", True)], ids=["open", "hidden"])
 @pytest.mark.parametrize("detail", DETAILS)
 def test_a_scan_that_is_scored_has_the_scorers_occupancy_to_the_last_bit(caster, detail, effects, scenery, tmp_path):
     """In memory and from a file; a car's detailed roof once fell into another cell, where a face lies between two."""
-    lattice, pose = beam_lattice(load_model("RS-80"), stride=6), Pose(0.3, -0.2, 4.1, 0.3, 0.02, 0.1)
+    lattice, pose = beam_lattice(load_model("RS-80"), stride=12), Pose(0.3, -0.2, 4.1, 0.3, 0.02, 0.1)
     standing = StandingScenery(STANDING, caster) if scenery else None
     how = {"scenery": standing, "imperfections": EFFECTS[effects]}
     seen = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(lattice, detail=detail, **how)).see(singles([pose]))
@@ -328,7 +328,7 @@ def test_a_scan_that_is_scored_has_the_scorers_occupancy_to_the_last_bit(caster,
         np.testing.assert_array_equal(np.bincount(row, minlength=len(TRAFFIC)), seen.points[0])
         np.testing.assert_array_equal(occupancy(local, row, TRAFFIC.size_m), seen.occupancy[0])
         np.testing.assert_array_equal(pe_vgop(local, row, TRAFFIC.size_m), entropy(seen.occupancy[0]).sum(axis=1))
-    assert seen.points.sum() > 500
+    assert seen.points.sum() > 250
 
 
 # --- several LiDARs under one mark ------------------------------------------------------------------------------------

@@ -96,7 +96,7 @@ def stored_evaluations(folder: Path) -> int:
 # --- killed -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("write", [1, 2, 4, 7, WRITES])
+@pytest.mark.parametrize("write", [1, 4, WRITES])
 def test_a_run_killed_at_any_write_goes_on_to_the_same_result(start, tmp_path, finished, write):
     scene, undisturbed = finished
     assert start(scene, tmp_path / "run", dies_at=write).code() == -signal.SIGKILL
