@@ -106,20 +106,24 @@ class ClusterWorkers:
         try:
             self._begin(tasks, calls)
             for number in range(len(tasks)):
-                while (future := calls[number].future).status != "finished":
-                    with suppress(TimeoutError, CancelledError):
-                        future.exception(timeout=_LOOK_ROUND_S)
-                    if future.status == "error":
-                        self._fail(future.exception())
-                    if future.status != "finished":
-                        self._begin(tasks, calls)
-                with self._scheduler_needed():
-                    found = future.result()
+                while not (found := self._found(calls[number].future)):
+                    self._begin(tasks, calls)
                 del calls[number]
-                yield found
+                yield found[0]
         finally:
             with suppress(Exception):
                 self._client.cancel([call.future for call in calls.values()])
+
+    def _found(self, future) -> tuple:
+        """What a call has returned, alone in a tuple; () where it is not there in time or was cancelled meanwhile."""
+        with suppress(TimeoutError, CancelledError):
+            future.exception(timeout=_LOOK_ROUND_S)
+        if future.status == "error":
+            self._fail(future.exception())
+        with self._scheduler_needed(), suppress(CancelledError):
+            if future.status == "finished":
+                return (future.result(),)
+        return ()
 
     def _begin(self, tasks: list[bytes], calls: dict[int, _Call | None]) -> None:
         """Begin those calls that have not begun or are lost: dask waits for ever for a worker that was the last one."""
