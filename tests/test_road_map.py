@@ -131,3 +131,19 @@ def test_a_place_lies_where_its_station_and_offset_say(road):
     assert mine.sum() > 20
     np.testing.assert_allclose(found.s_m[mine], s.ravel()[mine], atol=0.05)
     np.testing.assert_allclose(found.t_m, t.ravel(), atol=0.01)
+
+
+def test_on_a_bend_a_slanted_heading_changes_nothing_within_one_lane():
+    road, angle = arc(), np.linspace(0.1, 1.1, 40)
+    place = np.stack([60.5 * np.sin(angle), 60.0 - 60.5 * np.cos(angle)], axis=1)
+    alone = road.locate(place)
+    for turn in (-0.6, 0.3, 2.5):
+        for found, expected in zip(road.locate(place, angle + turn), alone, strict=True):
+            np.testing.assert_array_equal(found, expected)
+
+
+def test_across_a_loop_that_comes_back_the_edges_beside_a_place_are_found():
+    ring = arc(radius=10.0, turn_rad=2.0 * math.pi - 0.01, lanes=1, width=9.0)
+    right, left = ring.beside((10.0, 10.0))
+    assert np.hypot(*(right - (0.0, 10.0))) == pytest.approx(14.5, abs=0.02)
+    assert np.hypot(*(left - (0.0, 10.0))) == pytest.approx(5.5, abs=0.02)

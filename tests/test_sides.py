@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
+from blender_lidar.metrics.catalogue import METRICS
+from blender_lidar.metrics.metric import NEEDS_VIEW
 from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.scene.deployment import Place, SearchSpace
+from blender_lidar.scene.mounting import mast_at
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
@@ -113,6 +118,83 @@ def test_each_side_has_its_place_and_faces_the_road(road, side, y_m, facing_deg,
     assert load_scenario(write_scene(tmp_path, scenario.with_whole_paths())).deployment == scenario.deployment
 
 
+@pytest.mark.parametrize(
+    ("road", "y_m", "facing_deg"),
+    [
+        ({"drives_on": "left"}, -1.0, 90.0),
+        ({"drives_on": "left"}, WIDTH, 270.0),
+        ({}, WIDTH, 270.0),
+        ({}, 11.5, 90.0),
+        ({"carriageways": 1, "median_m": None}, 40.0, 90.0),  # as scenes of one carriageway always had it
+    ],
+)
+@pytest.mark.parametrize("by", ["y_m", "poles"])
+def test_a_mast_whose_place_alone_is_given_faces_the_road(by, road, y_m, facing_deg, tmp_path):
+    if by == "poles":
+        (tmp_path / "poles.csv").write_text(f"name,x_m,y_m,facing_deg\nown,0,{y_m},45\nroad,10,{y_m},\n")
+    tables = {"road": {**TWO_WAY, **road}, "region": {"centre_m": [0.0, 0.5 * WIDTH], "radius_m": 30.0}}
+    tables["deployment"] = {"poles": "poles.csv"} if by == "poles" else {"y_m": y_m}
+    scenario = load_scenario(write_scene(tmp_path, tables))
+    masts = [place.mounting([low for low, _ in place.bounds.values()]).mast for place in scenario.deployment.places]
+    facing = [math.degrees(mast.facing_rad) for mast in masts]
+    np.testing.assert_allclose(facing, [facing_deg] if by == "y_m" else [45.0, facing_deg])
+    again = load_scenario(write_scene(tmp_path, scenario.with_whole_paths()))
+    assert again.deployment.places == scenario.deployment.places
+    assert again.baseline == scenario.baseline
+
+
+def test_the_axes_of_a_mast_are_square_and_plumb_on_any_slope():
+    for slope in ({}, {"grade_percent": 6.0}, {"grade_percent": -4.0, "cross_fall_percent": 5.0}):
+        road = road_map(StraightRoad(**slope))
+        for facing in (0.0, 90.0, 225.0):
+            axes = mast_at(road, 1.0, -2.0, math.radians(facing)).axes
+            np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+            assert np.linalg.det(axes) == pytest.approx(1.0)
+            np.testing.assert_allclose(axes[2], road.up, atol=1e-12)
+            assert math.degrees(math.atan2(*axes[1, 1::-1])) % 360.0 == pytest.approx(facing, abs=0.2)
+
+
+def test_on_a_gantry_in_a_fall_heights_count_from_the_road(tmp_path):
+    stand = {"side": "gantry", "height_m": [6.0, 9.0]}
+    gantry = site(tmp_path, road={"crown_percent": 4.0}, deployment=stand)
+    (mounting,) = gantry.scenario.deployment.spaces[0].layout([6.0])
+    assert mounting.pose.height_m == pytest.approx(6.0 + 0.04 * 3.5)
+
+
+def test_a_mast_beside_the_lanes_of_a_gantry_scene_needs_no_clearance(tmp_path):
+    gantry = site(tmp_path, deployment={"side": "gantry", "height_m": [5.0, 7.0]})
+    prepare(gantry.scenario, [gantry.scenario.mounting({"y_m": 0.0, "height_m": 3.0})])
+
+
+def test_two_places_may_search_the_same_coordinates():
+    one, other = (Place({"height_m": 2.0}, {"x_m": ends, "yaw_deg": (0.0, 360.0)}) for ends in ((0, 1), (5, 9)))
+    space = SearchSpace((one, other))
+    assert space.variables == ("x_m", "yaw_deg") * 2
+    assert space.lower == (0, 0.0, 5, 0.0)
+    assert space.upper == (1, 360.0, 9, 360.0)
+    assert space.periodic == (False, True, False, True)
+    assert [mounting.xy[0] for mounting in space.layout([0.5, 10.0, 6.0, 20.0])] == [0.5, 6.0]
+
+
+def test_a_vehicle_far_from_the_lower_end_of_a_searched_stretch_is_named(tmp_path):
+    with pytest.raises(InputError, match="stands inside vehicle .* in front of the mast: move it beside them"):
+        folder = tmp_path / "one"
+        changed = [[*row[:4], 1.0, *row[5:]] if row[1] == 4 else row for row in rows()]
+        path = scene(folder, deployment={"x_m": [-90.0, 30.0], "y_m": 0.5})
+        write_table(folder / "traffic.csv", changed, HEADER)
+        prepare(load_scenario(path, {("traffic", "accept"): (["carriageway"], "--accept")}))
+
+
+def test_a_metric_with_a_view_refuses_two_lidars(tmp_path, monkeypatch):
+    one = site(tmp_path)
+    two = replace(one.observation, lidars=one.observation.lidars * 2)
+    monkeypatch.setitem(
+        METRICS, "nearness", replace(METRICS["pe-vgop"], name="nearness", needs=frozenset({NEEDS_VIEW}))
+    )
+    with pytest.raises(InputError, match="'nearness' is about one LiDAR, but there are 2"):
+        Evaluator(one.search, two, replace(one.scoring, metric="nearness")).by_vehicle([])
+
+
 def test_a_gantry_keeps_its_clearance_and_any_other_mast_over_a_lane_is_refused(tmp_path):
     gantry = site(tmp_path / "gantry", deployment={"side": "gantry", "height_m": [5.0, 7.0]})
     assert sum(map(sum, points_of(gantry, gantry.scenario.deployment.spaces[0].layout([6.0])[0]))) > 500
@@ -130,8 +212,14 @@ def test_a_gantry_keeps_its_clearance_and_any_other_mast_over_a_lane_is_refused(
     ("text", "words"),
     [
         ("[road]\nmedian_m = 3.0\n", "median_m: is given for one carriageway"),
-        ('[deployment]\nside = "median"\n', "is a median, but the road has one"),
-        ('[deployment]\nside = "left"\ny_m = -3.0\n', "lies on the side 'right'; allowed: with side = 'right'"),
+        (
+            '[deployment]\nside = "median"\n',
+            "is a median, but [road] has one carriageway; allowed: [road] carriageways = 2",
+        ),
+        (
+            '[deployment]\nside = "left"\ny_m = -3.0\n',
+            "lies on the side 'right'; allowed: on the side 'left', as side says",
+        ),
         ('[deployment]\nside = "kerb"\n', "allowed: right, left, median, gantry"),
     ],
 )

@@ -101,7 +101,7 @@ class Optimisation:
         for space in scenario.deployment.spaces:
             searches = use.seeds + (scenario.objective.tolerance is not None)
             self.total += searches * use.particles * use.iterations
-            self.total += math.prod(POINTS) if all(axis in space.bounds for axis in space.axes) else 0
+            self.total += math.prod(POINTS) if all(axis in space.variables for axis in space.axes) else 0
         self._root = Path(tempfile.mkdtemp(prefix="blender_lidar-", dir=bpy.app.tempdir or None))
         self._read = 0  # bytes of what it has printed
         self.folder = self._root / "run"

@@ -288,16 +288,18 @@ def _draw_counts(axes: Axes, centre_m: np.ndarray, counts: list[np.ndarray]) -> 
 def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Sequence[ZoneSettings] = ()) -> None:
     """Draw the share of vehicles below the detectability threshold per cell of the road, before and after.
 
-    The carriageway is divided into whole lanes of about the road's lane width; `zones` of weights are outlined.
+    Across the road a cell is a lane, the median, or as wide as a lane beside them; `zones` of weights are outlined.
     """
     tables, mountings = (run.baseline, run.optimised), sides(run.result)
-    low, high = road.edges_t
-    lane_m = (high - low) / max(round((high - low) / np.median(road.width_m)), 1)
+    lane_m, half = float(np.median(road.width_m)), 0.5 * road.width_m
+    lines = np.unique(np.concatenate([road.offset_m - half, road.offset_m + half]).round(6))
     poles = np.array([[mount["x_m"], mount["y_m"]] for _, mount in mountings])
     x = np.concatenate([*(table["x_m"] for table in tables), poles[:, 0]])
-    y = np.concatenate([*(table["y_m"] for table in tables), [low + 0.5 * lane_m, high - 0.5 * lane_m]])
+    y = np.concatenate([*(table["y_m"] for table in tables), lines])
     x_edges = covering_edges(x.min(), x.max(), _CELL_LENGTH_M)
-    y_edges = covering_edges(y.min(), y.max(), lane_m, low)  # more lanes where vehicles drive beside the carriageway
+    right = np.arange(math.ceil((lines[0] - y.min()) / lane_m), 0, -1)  # lanes beside the road where vehicles drive
+    left = np.arange(1, math.ceil((y.max() - lines[-1]) / lane_m) + 1)
+    y_edges = np.concatenate([lines[0] - lane_m * right, lines, lines[-1] + lane_m * left])
     title, about = "Where vehicles stay below the threshold", _about(run.result, judged=True)
     with sheet(path, 120.0, title, about) as figure:
         panels = figure.subplots(2, 1, sharex=True, sharey=True)

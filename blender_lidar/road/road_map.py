@@ -106,11 +106,15 @@ class RoadMap:
         outside = away > 0.5 * self.width_m[row] + _ON_EDGE_M
         outside |= (first & (beyond < -_ON_EDGE_M)) | (last & (beyond > _ON_EDGE_M))
         direction = np.arctan2(along[:, 1], along[:, 0]) + math.pi * self.against[row]
-        turn = np.zeros_like(away)
+        of_lane = np.lexsort((away, outside, np.broadcast_to(row, away.shape)), axis=1)
+        nearest = of_lane[:, first]  # segment of each lane
+        away_of, outside_of = (np.take_along_axis(each, nearest, axis=1) for each in (away, outside))
+        turn = np.zeros_like(away_of)
         if heading_rad is not None:
-            difference = np.asarray(heading_rad)[:, None] - direction
-            turn = np.where(outside, 0.0, np.abs(np.arctan2(np.sin(difference), np.cos(difference))))
-        best = np.lexsort((away, turn, outside), axis=1)[:, 0]
+            difference = np.asarray(heading_rad)[:, None] - direction[nearest]
+            turn = np.where(outside_of, 0.0, np.abs(np.arctan2(np.sin(difference), np.cos(difference))))
+        chosen = np.lexsort((away_of, turn, outside_of), axis=1)[:, :1]
+        best = np.take_along_axis(nearest, chosen, axis=1)[:, 0]
         at = np.arange(len(best)), best
         lane = np.where(outside[at], -1, row[best])
         heading = np.arctan2(np.sin(direction), np.cos(direction))[best]
@@ -156,7 +160,9 @@ class RoadMap:
         found = []
         for side in (-1.0, 1.0):
             place, lane = np.array(xy, dtype=float), self.locate(np.array([xy])).lane[0]
-            while lane >= 0:
+            crossed = set()  # around a bend the way across may come back
+            while lane >= 0 and lane not in crossed:
+                crossed.add(lane)
                 only = self._with(np.array([lane])).locate(place[None])
                 turn = only.heading_rad[0] + math.pi * self.against[lane]
                 left = np.array([-math.sin(turn), math.cos(turn)])

@@ -53,12 +53,12 @@ class StraightRoad:
 
     drives_on: str = setting(SIDES[0], allowed=SIDES[:2])
     carriageways: int = setting(1, low=1, high=2)
-    median_m: float | None = setting(None, low=0.0, high=200.0)
+    median_m: float | None = setting(None, above=0.0, high=200.0)
     station_m: float = setting(250.0, low=-_LARGEST_M, high=_LARGEST_M)
     right_edge_m: float = setting(21.9456, low=-_LARGEST_M, high=_LARGEST_M)
     setback_m: float = setting(2.0, low=-_LARGEST_M, high=_LARGEST_M)
     lanes: int = setting(6, low=1, high=50)
-    lane_width_m: float = setting(3.66, above=0.0, high=10.0)
+    lane_width_m: float = setting(3.66, low=1.0, high=10.0)
     grade_percent: float = setting(0.0, low=-12.0, high=12.0)
     cross_fall_percent: float = setting(0.0, low=-8.0, high=8.0)
     crown_percent: float = setting(0.0, low=0.0, high=6.0)
@@ -85,6 +85,11 @@ class StraightRoad:
         if side == "gantry":
             return 0.5 * sum(edges[-1 if self.drives_on == "left" else 0]), 0.5 * math.pi
         return right - self.setback_m, 0.5 * math.pi
+
+    @property
+    def masts_face_it(self) -> bool:
+        """Whether a mast faces the road from wherever it stands; else all face +y, from the right, unless said."""
+        return self.drives_on != SIDES[0] or self.carriageways > 1
 
     def side_of(self, y_m: float) -> str:
         """The side of the road on which a place at y [m] lies; a gantry's, where it is over a carriageway."""

@@ -401,7 +401,7 @@ def _conclude(
         "spread": spread,
         "pole": None if pole is None else {"name": pole.name, "foot_z_m": pole.foot_z_m},
         "poles": None if poles is None else list(poles),
-        "bounds": {key: list(pair) for key, pair in space.bounds.items()} if searches else None,
+        "bounds": {key: list(pair) for key, pair in space.places[0].bounds.items()} if searches else None,
         "frames": len(site.search),
         "frame_ids": [int(frame) for frame in site.plan.search],
         "holdout_frame_ids": [int(frame) for frame in site.plan.holdout],

@@ -311,10 +311,10 @@ def map_scores(
     recording : ndarray of int, (f,), optional
         Recording of each frame, where there are several.
     """
-    axes = space.axes
-    if not all(axis in space.bounds for axis in axes):
+    axes, bounds = space.axes, space.places[0].bounds
+    if not all(axis in bounds for axis in axes):
         return None
-    height, tilt = (np.linspace(*space.bounds[axis], points) for axis, points in zip(axes, grid, strict=True))
+    height, tilt = (np.linspace(*bounds[axis], points) for axis, points in zip(axes, grid, strict=True))
     parts = []
     for h in height.tolist():
         points = (through(space, optimum, **dict(zip(axes, (h, t), strict=True))) for t in tilt.tolist())

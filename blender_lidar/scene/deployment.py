@@ -204,22 +204,23 @@ class SearchSpace:
         return tuple(key for place in self.places for key in place.bounds)
 
     @property
-    def bounds(self) -> dict[str, tuple[float, float]]:
+    def bounds(self) -> tuple[tuple[float, float], ...]:
         """Lower and upper bound of each searched coordinate [m, degrees]."""
-        return {key: bounds for place in self.places for key, bounds in place.bounds.items()}
+        return tuple(bounds for place in self.places for bounds in place.bounds.values())
 
     @property
     def lower(self) -> tuple[float, ...]:
-        return tuple(low for low, _ in self.bounds.values())
+        return tuple(low for low, _ in self.bounds)
 
     @property
     def upper(self) -> tuple[float, ...]:
-        return tuple(high for _, high in self.bounds.values())
+        return tuple(high for _, high in self.bounds)
 
     @property
     def periodic(self) -> tuple[bool, ...]:
         """Which searched coordinates are full circles, on which neither bound is an end."""
-        return tuple(key in _TURNS and high - low == 360.0 for key, (low, high) in self.bounds.items())
+        named = zip(self.variables, self.bounds, strict=True)
+        return tuple(key in _TURNS and high - low == 360.0 for key, (low, high) in named)
 
     @property
     def axes(self) -> tuple[str, str]:
@@ -267,6 +268,11 @@ class Deployment:
     def least_height_m(self) -> float:
         """Least height of a LiDAR above the road: what a gantry keeps clear [m]."""
         return self.clearance_m if self.side == "gantry" else 0.0
+
+    @property
+    def all_face(self) -> bool:
+        """Whether each pole has a direction that it faces of its own."""
+        return all(pole.facing_deg is not None for pole in self.poles)
 
     def at(self, pole: Pole) -> Place:
         """The same on one pole: its place, and its heights above its foot, or those of [deployment] above its foot."""

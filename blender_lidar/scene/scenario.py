@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,6 +29,7 @@ from .deployment import (
     MOUNTING_OR_LEAN,
     STAND,
     Deployment,
+    Pole,
 )
 from .mount_checks import check_degrees
 from .mounting import ANGLES, Mounting, has_lean, mast_at, mounting_from
@@ -57,7 +58,7 @@ _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "diffe
 _OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
 _OF_ONE_RECORDING = ("name", "weight", "path", "vehicle_types", "period", "location", "frame_ids")
 _USUAL_MEDIAN_M = 4.0
-_GANTRY_M = 8.0  # up to which a gantry is searched unless said
+_GANTRY_M, _GANTRY_SPAN_M = 8.0, 3.0  # up to which a gantry is searched unless said, and at least so far
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
@@ -219,7 +220,7 @@ def _baseline(table: TomlTable, deployment: Deployment, region: RegionSettings) 
     """[baseline]: at the mount's own place where that is fixed; else where no bound and no pole moves it."""
     road, place = road_map(deployment.road), {} if deployment.poles else deployment.fixed
     x_m = place.get("x_m", region_of(region, road).centre_xy[0])
-    y_m = place.get("y_m", deployment.road.place(deployment.side or SIDES[0])[0])
+    y_m = place.get("y_m", deployment.road.place(deployment.side or deployment.road.drives_on)[0])
     mast = mast_at(road, x_m, y_m, math.radians(deployment.fixed["facing_deg"]))
     upright = Mounting(mast, max(MOUNTING["height_m"].default, deployment.least_height_m))
     given = table.read(MOUNTING_OR_LEAN)
@@ -238,19 +239,25 @@ def _road(table: TomlTable) -> StraightRoad:
 def _stand(table: TomlTable, road: StraightRoad, found: dict[str, object], given: Mapping[str, object]) -> str | None:
     """The side of the road that the mast stands on, where it is said or follows; place and facing go into `found`."""
     side, poles = found.pop("side"), found.pop("poles")
-    places = "poles" if poles else "y_m" if "y_m" in given else None
     if side == "median" and road.carriageways == 1:
-        raise InputError(f"{table.where('side')}: is a median, but the road has one; allowed: [road] carriageways = 2")
-    if side is None and places is None and road.drives_on != SIDES[0]:
-        side = road.drives_on
-    y_m, facing = road.place(side or SIDES[0])
-    if places is None:
-        found["y_m"] = round(y_m, 6)
-    elif places == "y_m" and side is not None:
+        raise InputError(
+            f"{table.where('side')}: is a median, but [road] has one carriageway; allowed: [road] carriageways = 2"
+        )
+    if "y_m" in given and not poles:
         ends = given["y_m"] if isinstance(given["y_m"], tuple) else (given["y_m"],)
-        other = next((road.side_of(end) for end in ends if road.side_of(end) != side), side)
-        if side not in (other, "gantry"):
-            raise InputError(f"{table.where('y_m')}: lies on the side {other!r}; allowed: with side = {other!r}")
+        there = sorted({road.side_of(end) for end in ends})
+        if side is None and road.masts_face_it and len(there) == 1 and there[0] != "gantry":
+            side = there[0]
+        elif side not in (None, "gantry", *there) or (side != "gantry" and side in there and len(there) > 1):
+            raise InputError(
+                f"{table.where('y_m')}: lies on the side {' and '.join(map(repr, there))}; allowed: on the side "
+                f"{side!r}, as side says"
+            )
+    elif side is None and not poles and road.drives_on != SIDES[0]:
+        side = road.drives_on
+    y_m, facing = road.place(side or road.drives_on)
+    if "y_m" not in given and not poles:
+        found["y_m"] = round(y_m, 6)
     if found["facing_deg"] is None:
         found["facing_deg"] = math.degrees(facing)
     return side
@@ -267,7 +274,7 @@ def _deployment(table: TomlTable, road: StraightRoad) -> Deployment:
         found = {key: found[key] for key in MOUNTING}
     least = clearance_m if side == "gantry" else 0.0
     if "height_m" not in given and least:
-        found["height_m"] = (least, max(least, _GANTRY_M))
+        found["height_m"] = (least, max(least + _GANTRY_SPAN_M, _GANTRY_M))
     lowest = min(found["height_m"]) if isinstance(found["height_m"], tuple) else found["height_m"]
     if lowest < least:
         raise InputError(
@@ -282,7 +289,8 @@ def _deployment(table: TomlTable, road: StraightRoad) -> Deployment:
         return deployment
     if places := [key for key in ("x_m", "y_m") if key in given]:
         raise InputError(f"{table.name}: has poles and {places[0]}; allowed: a table of places, or one place")
-    deployment = replace(deployment, poles=read_poles(poles), poles_file=poles)
+    facing = None if "facing_deg" in given or side is not None or not road.masts_face_it else road
+    deployment = replace(deployment, poles=tuple(_facing(read_poles(poles), facing)), poles_file=poles)
     for pole in deployment.poles:
         if "height_m" in deployment.fixed and (pole.height_min_m is None) != (pole.height_max_m is None):
             raise InputError(
@@ -295,6 +303,15 @@ def _deployment(table: TomlTable, road: StraightRoad) -> Deployment:
                 f"allowed: {limits[0]:g} to {limits[1]:g} m, the lower first"
             )
     return deployment
+
+
+def _facing(poles: Sequence[Pole], road: StraightRoad | None) -> Iterator[Pole]:
+    """Poles, those of which nothing says which way they face towards the road, if one is given."""
+    for pole in poles:
+        if road is None or pole.facing_deg is not None:
+            yield pole
+        else:
+            yield replace(pole, facing_deg=math.degrees(road.place(road.side_of(pole.y_m))[1]))
 
 
 def _check_angles(table: TomlTable, searched: Mapping[str, tuple[float, float]]) -> None:

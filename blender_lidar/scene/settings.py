@@ -515,6 +515,8 @@ class Scenario:
             for key in ("x_m", "y_m"):
                 del tables["deployment"][key]
             tables["deployment"]["poles"] = self.deployment.poles_file
+            if self.deployment.side is None and self.road.masts_face_it and self.deployment.all_face:
+                del tables["deployment"]["facing_deg"]  # each pole has its own, from the table or towards the road
         return tables
 
     def with_whole_paths(self) -> dict[str, dict]:

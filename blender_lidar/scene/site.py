@@ -101,7 +101,7 @@ def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m:
 
 _ABREAST_M = 20.0  # what passes this near to a mast has been or will be beside it
 _TOUCHING_M = 1e-6  # a mount that touches a vehicle counts as inside
-_STEP_M = 1.0  # between the places of a searched rectangle that are looked at: no lane is narrower
+_MOST_STEPS = 400  # along each side of a searched rectangle: half a lane apart, where it is no larger
 
 
 def check_mount_is_clear(
@@ -136,14 +136,22 @@ def check_mount_is_clear(
     for where, mount in mounts.items():
         low, high = _extent(mount)
         along, across = (f"{a:g}" if a == b else f"{a:g} to {b:g}" for a, b in zip(low[:2], high[:2], strict=True))
-        if scenario.deployment.side != "gantry":
-            _check_off_lanes(road, low[:2], high[:2], f"{where}: the mount at x {along} m, y {across} m")
-        elif low[2] < scenario.deployment.clearance_m:
+        over = _on_lanes(road, low[:2], high[:2])
+        gantry = over is not None and scenario.deployment.side == "gantry"
+        if over is not None and not gantry:
+            right, left = (np.round(edge, 3) + 0.0 for edge in road.beside(over))
+            raise InputError(
+                f"{where}: the mount at x {along} m, y {across} m stands on the carriageway; allowed: off the lanes, "
+                f"such as x {right[0]:g}, y {right[1]:g} m or x {left[0]:g}, y {left[1]:g} m, or [deployment] side = "
+                '"gantry"'
+            )
+        if gantry and low[2] < scenario.deployment.clearance_m:
             raise InputError(
                 f"{where}: the LiDAR hangs {low[2]:g} m over the lanes; allowed: {scenario.deployment.clearance_m:g} m "
                 "or more, as [deployment] clearance_m says"
             )
-        off_feet = np.sort(np.outer((low[2], high[2]), up), axis=0)
+        foot_z = np.sort(road.surface.height(np.stack([low[:2], high[:2]])))
+        off_feet = np.sort(np.outer((low[2], high[2]), up), axis=0) + np.outer(foot_z, (0.0, 0.0, 1.0))
         head_low, head_high = low * (1.0, 1.0, 0.0) + off_feet[0], high * (1.0, 1.0, 0.0) + off_feet[1]
         for solid in solids:
             middle, half = solid.centre_m[2], 0.5 * solid.size_m[2]
@@ -157,7 +165,7 @@ def check_mount_is_clear(
         for vehicles in frames:
             place = vehicles.centre_m, vehicles.size_m, vehicles.heading_rad
             meets = footprints_meet(*place, np.minimum(low, head_low), np.maximum(high, head_high))
-            if scenario.deployment.side == "gantry":
+            if gantry:
                 meets &= vehicles.centre_m[:, 2] + 0.5 * vehicles.size_m[:, 2] >= head_low[2]
             inside = vehicles.vehicle_id[meets]
             if len(inside):
@@ -168,29 +176,27 @@ def check_mount_is_clear(
 
 
 def _driven_over(frames: Sequence[Vehicles], mount: Place | Mounting) -> str:
-    """Where vehicles pass a mast, as advice."""
-    if isinstance(mount, Place):
-        mount = mount.mounting([low for low, _ in mount.bounds.values()])
+    """Where vehicles pass where a mast may stand, as advice."""
+    low, high = (end[:2] for end in _extent(mount))
+    mast = (mount if isinstance(mount, Mounting) else mount.mounting([end for end, _ in mount.bounds.values()])).mast
     xy, size, heading = (
         np.concatenate([getattr(vehicles, key) for vehicles in frames]) for key in ("centre_m", "size_m", "heading_rad")
     )
-    beside, ahead, _ = ((xy - mount.mast.foot_m) @ mount.mast.axes.T).T
-    near, turn = np.abs(beside) <= _ABREAST_M, heading - mount.mast.facing_rad
+    to_place = xy[:, :2] - np.clip(xy[:, :2], low, high)
+    near, turn = np.hypot(*to_place.T) <= _ABREAST_M + 0.5 * size[:, 0], heading - mast.facing_rad
+    ahead = (xy[:, :2] - 0.5 * (low + high)) @ (math.cos(mast.facing_rad), math.sin(mast.facing_rad))
     half = 0.5 * (size[:, 0] * np.abs(np.cos(turn)) + size[:, 1] * np.abs(np.sin(turn)))
     first, last = (ahead - half)[near].min(), (ahead + half)[near].max()
     return f"vehicles drive there from {first:.1f} to {last:.1f} m in front of the mast: move it beside them"
 
 
-def _check_off_lanes(road: RoadMap, low: np.ndarray, high: np.ndarray, what: str) -> None:
-    """Refuse a rectangle from `low` to `high`, (2,) each [m], that reaches into a lane."""
-    steps = np.maximum(np.ceil((high - low) / _STEP_M), 1).astype(int) + 1
+def _on_lanes(road: RoadMap, low: np.ndarray, high: np.ndarray) -> np.ndarray | None:
+    """A place of the rectangle from `low` to `high`, (2,) each [m], that lies on a lane; None where none does."""
+    steps = np.ceil((high - low) / (0.5 * road.width_m.min())).clip(1, _MOST_STEPS).astype(int) + 1
     x, y = (np.linspace(a, b, n) for a, b, n in zip(low, high, steps, strict=True))
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    on = road.within(places)
-    if on.any():
-        right, left = road.beside(places[on][0])
-        allowed = f"off the lanes, such as x {right[0]:g}, y {right[1]:g} m or x {left[0]:g}, y {left[1]:g} m"
-        raise InputError(f'{what} stands on the carriageway; allowed: {allowed}, or [deployment] side = "gantry"')
+    on = places[road.within(places)]
+    return on[0] if len(on) else None
 
 
 def footprints_meet(

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..errors import InputError
 from ..metrics.catalogue import metric_named
 from ..metrics.metric import NEEDS_POINTS, NEEDS_VIEW, Mountings, SceneContext, VehicleReturns, View
 from ..optimise.objective import detectable, vehicle_score
@@ -50,11 +51,16 @@ class VehicleScores:
     """
 
     def __init__(self, scoring: Scoring, observation: Observation, frames: Sequence[CountedFrame]) -> None:
-        boxes, context = tuple(frame.boxes for frame in frames), None
-        if scoring.field is not None:
-            lidar = observation.lidar
+        self._scoring, self._metric, context = scoring, metric_named(scoring.metric), None
+        if len(observation.lidars) > 1 and (self._metric.learn is not None or NEEDS_VIEW in self._metric.needs):
+            raise InputError(
+                f"metric {self._metric.name!r} is about one LiDAR, but there are {len(observation.lidars)}; allowed: "
+                "with several, a metric of returns alone"
+            )
+        if self._metric.learn is not None and scoring.field is not None:
+            boxes, lidar = tuple(frame.boxes for frame in frames), observation.lidar
             context = SceneContext(boxes, lidar.lattice.directions, lidar.min_range_m, lidar.max_range_m, scoring.field)
-        self._scoring, self._metric = scoring, metric_named(scoring.metric).learnt(context)
+        self._metric = self._metric.learnt(context)
 
     def of(self, frame: CountedFrame, scorer: FrameScorer, layouts: Sequence[Sequence[Pose]]) -> Scored:
         """Score s layouts, given by the poses of their LiDARs, on the frame of a scorer."""

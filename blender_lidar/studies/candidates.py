@@ -83,7 +83,7 @@ def grid_candidates(scenario: Scenario, mounting: Mounting, heights: int, tilts:
     The tilt is the lean where the scene is given by it; the other coordinates stay as they are in `mounting`.
     """
     (space,), place = scenario.deployment.spaces, mounting.as_table()
-    names, bounds = space.axes, space.bounds
+    names, bounds = space.axes, space.places[0].bounds
     axes = [
         np.linspace(*bounds[name], count).round(9) if name in bounds else [place[name]]  # 4.3, not 4.30...01
         for name, count in zip(names, (heights, tilts), strict=True)

@@ -222,14 +222,15 @@ def build_road(scene: bpy.types.Scene, road: RoadMap, s_m: tuple[float, float]) 
     edges, between = (np.array([road.locate(line[:1]).t_m[0] for line in lines]) for lines in road.lines(s_m))
     carriageways = np.sort(edges).reshape(-1, 2)
     asphalt, verges, free = [], [], carriageways[0, 0] - _VERGE_M
-    for low, high in carriageways:
-        verges.append((free, max(free, low - _SHOULDER_M)))
+    half_medians = 0.5 * (carriageways[1:, 0] - carriageways[:-1, 1])
+    shoulders = np.minimum(_SHOULDER_M, [_SHOULDER_M, *half_medians, _SHOULDER_M])
+    for (low, high), right, left in zip(carriageways, shoulders[:-1], shoulders[1:], strict=True):
+        verges.append((free, low - right))
         crown = [] if road.surface.is_flat else [low, 0.5 * (low + high), high]
-        across = [verges[-1][1], *crown, high + _SHOULDER_M]
-        asphalt += itertools.pairwise(across)
-        free = high + _SHOULDER_M
+        asphalt += itertools.pairwise([low - right, *crown, high + left])
+        free = high + left
     verges.append((free, carriageways[-1, 1] + _VERGE_M))
-    long = [(*s_m, *ends) for ends in verges if ends[1] > ends[0]]
+    long = [(*s_m, *ends) for ends in verges if ends[1] - ends[0] > _LINE_ABOVE_M]
     add_object(into, "Verge", _strips("Verge", road, long, plain("Verge", VERGE, roughness=1.0)))
     long = [(*s_m, *ends) for ends in asphalt]
     add_object(into, "Surface", _strips("Surface", road, long, plain("Asphalt", ASPHALT, ROAD, 0.9)))
