@@ -177,12 +177,12 @@ def test_two_places_may_search_the_same_coordinates():
 
 
 def test_a_vehicle_far_from_the_lower_end_of_a_searched_stretch_is_named(tmp_path):
-    with pytest.raises(InputError, match="stands inside vehicle .* in front of the mast: move it beside them"):
-        folder = tmp_path / "one"
-        changed = [[*row[:4], 1.0, *row[5:]] if row[1] == 4 else row for row in rows()]
-        path = scene(folder, deployment={"x_m": [-90.0, 30.0], "y_m": 0.5})
-        write_table(folder / "traffic.csv", changed, HEADER)
-        prepare(load_scenario(path, {("traffic", "accept"): (["carriageway"], "--accept")}))
+    path = scene(tmp_path, deployment={"x_m": [-90.0, 30.0], "y_m": 0.5})
+    beside = [[*row[:4], 1.0, *row[5:]] if row[1] == 4 else row for row in rows()]
+    write_table(tmp_path / "traffic.csv", beside, HEADER)
+    scenario = load_scenario(path, {("traffic", "accept"): (["carriageway"], "--accept")})
+    with pytest.raises(InputError, match=r"stands inside vehicle .* in front of the mast: move it beside them"):
+        prepare(scenario)
 
 
 def test_a_metric_with_a_view_refuses_two_lidars(tmp_path, monkeypatch):

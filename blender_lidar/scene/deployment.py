@@ -99,7 +99,8 @@ class StandSettings:
         CSV of candidate places, in place of x_m and y_m.
     side : str or None
         Side of the road where the mast stands and from which it faces the road; by default that of [road] drives_on,
-        unless y_m or poles give the place. A gantry hangs over the lanes.
+        unless y_m or poles give the place: on roads that drive on the left, or have two carriageways, they face the
+        road from there. A gantry hangs over the lanes.
     clearance_m : float
         Least height of a LiDAR over the lanes [m], on a gantry.
     """
