@@ -165,11 +165,15 @@ def test_triangle_soup_is_met_where_the_oracle_meets_it(seed, name):
 
 
 @pytest.mark.parametrize("name", FAST)
-@pytest.mark.parametrize(("sensor", "height", "tilt", "gate"), [("RS-16", 4.1, 19.0, 50.0), ("RS-80", 4.4, 9.0, 150.0)])
-def test_on_dense_traffic_at_most_one_ray_in_ten_thousand_differs_from_the_oracle(name, sensor, height, tilt, gate):
+@pytest.mark.parametrize(
+    ("sensor", "stride", "height", "tilt", "gate"), [("RS-16", 2, 4.1, 19.0, 50.0), ("RS-80", 10, 4.4, 9.0, 150.0)]
+)
+def test_on_dense_traffic_at_most_one_ray_in_ten_thousand_differs_from_the_oracle(
+    name, sensor, stride, height, tilt, gate
+):
     triangles = vehicle_triangles(dense_traffic(vehicles=130)).corners
     pose = Pose(height_m=height, tilt_x=np.radians(tilt))
-    rays = pose.to_world(beam_lattice(load_model(sensor), stride=5).directions.reshape(-1, 3))
+    rays = pose.to_world(beam_lattice(load_model(sensor), stride=stride).directions.reshape(-1, 3))
     rays = rays[(rays[:, 1] > -0.2) & (rays[:, 2] < 0.05)]  # the others meet nothing
     expected = caster_class("exact")(triangles).cast(pose.position, rays, gate)
     found = caster_class(name)(triangles, closed=True).cast(pose.position, rays, gate)
