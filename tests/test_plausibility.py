@@ -205,7 +205,7 @@ def test_vehicles_against_the_travel_on_the_carriageway_are_told(tmp_path):
     notes = read_recording(load_scenario(scene_of(tmp_path / "one way", rows))).report.notes
     assert not any("against +x" in note for note in notes)
     notes = read_recording(load_scenario(scene_of(tmp_path / "two ways", both_ways(table(), 0.0)))).report.notes
-    message = [note for note in notes if "drive against +x and count as the others do" in note]
+    message = [note for note in notes if "drive against the direction of their lane and count as the others do" in note]
     assert len(message) == 1
     assert 40 <= int(message[0].split()[0]) <= 60
 

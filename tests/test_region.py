@@ -7,7 +7,9 @@ import json
 import numpy as np
 import pytest
 
+from blender_lidar.detection.judge import region_of_alarms
 from blender_lidar.errors import InputError
+from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.scene.region import Region, check_polygon, polygon_holds
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -180,3 +182,11 @@ def test_searching_x_in_any_interval_that_holds_the_optimum_finds_the_same_place
     places = [result["deployment"]["x_m"] for result in found]
     assert max(places) - min(places) < 0.5  # the top is ragged
     assert -1.5 < places[0] < 1.5
+
+
+def test_a_detection_where_nothing_counts_is_no_false_alarm():
+    road = road_map(StraightRoad(setback_m=-2.0, lanes=2, lane_width_m=4.0))
+    square = [(-1.0, 0.0), (1.0, 0.0), (1.0, 2.0), (-1.0, 2.0)]
+    region = Region((0.0, 0.0), 20.0, stretches=[((-20.0, 20.0), [7])], keep_out=[square], road=road)
+    places = [one_vehicle("car", (0.0, 1.0)), one_vehicle("car", (5.0, 1.0))]
+    assert [bool(region_of_alarms(region).holds(one)[0]) for one in places] == [False, True]

@@ -21,7 +21,7 @@ from blender_lidar.run.tolerance import (
     orthogonal_array,
 )
 from blender_lidar.scene.deployment import COORDINATE_LIMITS
-from blender_lidar.scene.mounting import COORDINATES
+from blender_lidar.scene.mounting import COORDINATES, Mast, Mounting
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import Tolerance
 from blender_lidar.scene.site import prepare
@@ -252,3 +252,11 @@ def test_the_interval_of_a_ratio_is_the_same_either_way_empty_blocks_or_not():
     found = statistic_interval_90(lambda weights: weights @ values / (weights @ vehicles), vehicles, 5)
     assert found == pytest.approx(ratio_interval_90(values, vehicles, 5), rel=1e-12)
     assert statistic_interval_90(lambda weights: weights @ values, np.array([1, 0, 0, 2, 0, 0, 0]), 5) is None
+
+
+def test_an_installed_lidar_hangs_on_the_very_mast_of_its_plan():
+    mast = Mast((1.0, -0.5, 0.2), 0.7, (0.04, -0.03, 0.99875))
+    plan = Mounting(mast, 3.0, 0.2)
+    exact, other = installed(plan, np.array([[0.0, 0.0, 0.0, 0.0], [0.1, 1.0, -1.0, 2.0]]))
+    np.testing.assert_allclose(exact.pose.rotation, plan.pose.rotation, atol=1e-12)
+    assert exact.mast == other.mast == mast

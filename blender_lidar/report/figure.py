@@ -39,6 +39,7 @@ OPTIMISED_LOOK = {"color": "#173f70", "linestyle": "-", "marker": "o", "markersi
 FAINT = "#b8b8b8"
 INK = "#202020"
 
+ALONG_LABEL = "Along the road, x [m]"
 TRAVEL_LABEL = "Along the road, x [m], direction of travel \N{LONG RIGHTWARDS ARROW}"
 
 # Name and part of a colour map that only rises or only falls in lightness, so that a grey print keeps the order of the

@@ -17,6 +17,7 @@ from ..scene.settings import ZoneSettings
 from ..scene.site import Site
 from .cloud_figures import draw_clouds, draw_occupancy
 from .figure import (
+    ALONG_LABEL,
     BASELINE_LOOK,
     BLIND_COLOURS,
     FAINT,
@@ -319,7 +320,7 @@ def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Seq
         panels[-1].set(
             xlim=(x_edges[0], x_edges[-1]),
             ylim=(min(y_edges[0], across.min() - _MARGIN_M), max(y_edges[-1], across.max() + _MARGIN_M)),
-            xlabel=TRAVEL_LABEL,
+            xlabel=ALONG_LABEL if road.against.any() else TRAVEL_LABEL,
         )
         figure.colorbar(mesh, ax=panels, label="Vehicles below the threshold [%]", pad=0.02)
         legend_below(figure, [marker, empty, *outlines[:1]], columns=3)

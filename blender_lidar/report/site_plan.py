@@ -11,7 +11,7 @@ from ..names import SIDES
 from ..road import StraightRoad
 from ..traffic.layout import HALF_STRETCH_M, RoadLayout
 from ..traffic.vehicles import Recording
-from .figure import INK, TRAVEL_LABEL, mark_sensor, sheet
+from .figure import ALONG_LABEL, INK, TRAVEL_LABEL, mark_sensor, sheet
 
 _MOST_POINTS = 60_000
 _ROUND_M = 20.0  # shown around the region
@@ -125,7 +125,12 @@ def _draw_near(axes, road, along, layout):
     if layout.road.carriageways == 2:
         _arrow(axes, (reach, against), (-reach, against))
     mark_sensor(axes, (0.0, layout.pole_y))
-    axes.set(xlim=(low, high), ylim=(bottom, top), xlabel=TRAVEL_LABEL, ylabel="Across, y [m], to the left")
+    axes.set(
+        xlim=(low, high),
+        ylim=(bottom, top),
+        xlabel=ALONG_LABEL if layout.road.carriageways > 1 else TRAVEL_LABEL,
+        ylabel="Across, y [m], to the left",
+    )
     axes.set_title("The proposed road frame (y stretched)")
     axes.grid()
 

@@ -154,8 +154,9 @@ def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accept
     share = against[there].mean() if there.sum() >= usual.FEWEST else 0.0
     if share > usual.SOME:
         yield (
-            f"{100 * share:.0f} % of the region's boxes on {placed.name}, drive against +x and count as the others "
-            "do; if they belong to another carriageway, check [road] setback_m and lanes, or give [region] keep_out"
+            f"{100 * share:.0f} % of the region's boxes on {placed.name}, drive against the direction of their lane "
+            "and count as the others do; if they belong to another carriageway, check [road] setback_m and lanes, or "
+            "give [region] keep_out"
         )
     nearly = np.arctan(np.tan(heading[there & (np.abs(np.sin(heading)) < math.sin(usual.DRIFT_RAD[1]))]))  # both ways
     drift, length = float(np.median(nearly)) if len(nearly) >= usual.FEWEST else 0.0, 2.0 * placed.region.radius_m
@@ -178,7 +179,7 @@ def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accept
         yield (
             f"those who come the other way drive to the {drives_on} of {placed.name}, at {_span('y', t[wrong])}: "
             f"{other}-hand traffic, or y is mirrored in the file; for the first give [road] drives_on = "
-            f'"{other}": a pole on that side stands between both directions, not at the roadside'
+            f'"{other}": a pole on the {drives_on} stands between both directions, not at the roadside'
         )
 
 
@@ -198,7 +199,7 @@ def _lane_notes(t: np.ndarray, scenario: Scenario) -> Iterator[str]:
             "that is right, check the unit and scale of the places"
         )
         return
-    off = (lanes - scenario.road_map.edges_t[0]) / width - 0.5
+    off = np.abs(lanes[:, None] - scenario.road_map.offset_m).min(axis=1) / width
     off = width * np.abs(off - np.rint(off))
     if off.min() > usual.OFF_LANE_M:
         yield (
@@ -208,11 +209,6 @@ def _lane_notes(t: np.ndarray, scenario: Scenario) -> Iterator[str]:
 
 
 # --- Boxes in one another -----------------------------------------------------------------------------------------
-
-
-def _boxes_looked_at(recording: Recording) -> float:
-    """How many boxes overlaps were looked for among."""
-    return recording.report.overlap_frames * len(recording) / len(recording.frames)
 
 
 def _overlapping(recording: Recording) -> tuple[int, float]:
