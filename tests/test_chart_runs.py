@@ -152,8 +152,3 @@ def test_another_tolerance_is_refused_in_one_line(text, tmp_path, capsys):
 def test_a_scene_that_searches_nothing_is_refused(tmp_path, capsys, verb, fixed, said):
     scene = write_scene(tmp_path, {"deployment": fixed, **REGION})
     assert said in refused(capsys, tmp_path, verb, scene, "--out", tmp_path / "run")
-
-
-def test_an_option_that_has_another_name_is_answered_with_it(capsys, tmp_path):
-    line = refused(capsys, tmp_path, "chart", write_scene(tmp_path, MAPPED), "--tolerance", "1%")
-    assert "--max-regret" in line

@@ -58,7 +58,7 @@ def test_score_tells_the_detectable_share_in_per_cent(cloud, capsys):
 
 def test_score_offers_the_metrics_that_it_can_make_and_no_others(capsys):
     out, _ = done(capsys, "score", "--help")
-    offered = "".join(out.split()).split("orof")[1].split("output:")[0]
+    offered = "".join(out.split()).split("FILE.py:NAME,")[1].split("output:")[0]
     assert offered.split(",") == list(METRICS)
 
 

@@ -303,7 +303,7 @@ def test_traffic_off_the_road_is_told_to_be_unlike_the_training(i80):
 def test_ours_look_at_the_whole_region_though_few_vehicles_are_searched(i80):
     site, _, _ = i80
     low, high = watched(replace(site, search=site.search[:1]))
-    right, left = site.scenario.road.carriageway_y
+    ((right, left),) = site.scenario.road.carriageways_y
     assert (low.tolist(), high.tolist()) == ([-50.0, right - 8.0], [50.0, left + 8.0])
     beside = site.search[0].vehicles
     far = replace(beside, centre_m=beside.centre_m + np.array([0.0, 30.0, 0.0]))

@@ -107,3 +107,14 @@ def test_tilting_towards_the_road_blinds_the_other_side(name, height_m, tilt_deg
     pose = Pose(height_m=height_m, tilt_x=math.radians(tilt_deg))
     assert nearest_ground_m(name, pose, 1.0) == pytest.approx(towards, abs=0.06)
     assert nearest_ground_m(name, pose, -1.0) == pytest.approx(away, abs=0.2)
+
+
+@given(st.lists(st.integers(-36000, 36000), min_size=3, max_size=3))
+def test_a_table_gives_the_angles_back_as_they_were_typed(hundredths):
+    typed = {key: n / 100.0 for key, n in zip(("tilt_x_deg", "tilt_y_deg", "yaw_deg"), hundredths, strict=True)}
+    assert Pose.from_table(typed).as_table() == {"x_m": 0.0, "y_m": 0.0, "height_m": 2.0, **typed}
+
+
+@given(ANGLE)
+def test_what_a_table_keeps_of_an_angle_is_off_by_its_last_digits_at_most(angle):
+    assert Pose.from_table(Pose(yaw=angle).as_table()).yaw == pytest.approx(angle, rel=0.0, abs=1e-14)

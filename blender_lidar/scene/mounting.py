@@ -109,15 +109,15 @@ class Mounting:
 
         What leans by less than a millionth of a degree has no direction: None.
         """
-        from ..sensors.pose import lean_of, rotation_matrix
+        from ..sensors.pose import degrees_of, lean_of, rotation_matrix
 
         x_m, y_m = self.xy
-        angles = map(_degrees, (self.tilt_x, self.tilt_y, self.yaw))
+        angles = map(degrees_of, (self.tilt_x, self.tilt_y, self.yaw))
         table = dict(zip(COORDINATES, (x_m, y_m, self.height_m, *angles), strict=True))
-        lean, *turns = map(_degrees, lean_of(rotation_matrix(self.tilt_x, self.tilt_y, self.yaw)))
+        lean, *turns = map(degrees_of, lean_of(rotation_matrix(self.tilt_x, self.tilt_y, self.yaw)))
         if lean < _NO_LEAN_DEG:
             lean, turns = 0.0, [None, table["yaw_deg"]]
-        table["facing_deg"] = _degrees(self.mast.facing_rad)
+        table["facing_deg"] = degrees_of(self.mast.facing_rad)
         return {**table, **dict(zip(LEANS, (lean, *turns), strict=True))}
 
 
@@ -128,14 +128,6 @@ Layout = tuple[Mounting, ...]
 def poses_of(layout: Layout) -> tuple[Pose, ...]:
     """Where the sensors of a layout are."""
     return tuple(mounting.pose for mounting in layout)
-
-
-def _degrees(angle: float) -> float:
-    """An angle [rad] in degrees: those that are read as the very same angle, where there are such."""
-    near = math.degrees(angle)
-    above, below = math.nextafter(near, math.inf), math.nextafter(near, -math.inf)
-    degrees = (round(near, 12), near, above, below, math.nextafter(above, math.inf), math.nextafter(below, -math.inf))
-    return next((one for one in degrees if math.radians(one) == angle), degrees[0]) + 0.0
 
 
 def mast_at(road: RoadMap, x_m: float, y_m: float, facing_rad: float = _SQUARE) -> Mast:

@@ -93,6 +93,14 @@ def turned(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.einsum("ij,jk->ik", one, other)
 
 
+def degrees_of(angle: float) -> float:
+    """An angle [rad] in degrees: those that are read as the very same angle, where there are such."""
+    near = math.degrees(angle)
+    above, below = math.nextafter(near, math.inf), math.nextafter(near, -math.inf)
+    degrees = (round(near, 12), near, above, below, math.nextafter(above, math.inf), math.nextafter(below, -math.inf))
+    return next((one for one in degrees if math.radians(one) == angle), degrees[0]) + 0.0
+
+
 @lru_cache(maxsize=1024)  # more than a swarm, which meets frame after frame
 def _kept_rotation(tilt_x: float, tilt_y: float, yaw: float) -> np.ndarray:
     rotation = rotation_matrix(tilt_x, tilt_y, yaw)
@@ -138,7 +146,7 @@ class Pose:
 
     def as_table(self) -> dict[str, float]:
         """Its six numbers for a file [m, degrees]."""
-        angles = {f"{key}_deg": math.degrees(getattr(self, key)) for key in ("tilt_x", "tilt_y", "yaw")}
+        angles = {f"{key}_deg": degrees_of(getattr(self, key)) for key in ("tilt_x", "tilt_y", "yaw")}
         return {"x_m": self.x_m, "y_m": self.y_m, "height_m": self.height_m, **angles}
 
     @property
