@@ -203,7 +203,7 @@ def test_a_region_where_nobody_drives_says_where_vehicles_are(tmp_path):
 def test_vehicles_against_the_travel_on_the_carriageway_are_told(tmp_path):
     rows = traffic_rows()
     notes = read_recording(load_scenario(scene_of(tmp_path / "one way", rows))).report.notes
-    assert not any("against +x" in note for note in notes)
+    assert not any("against the direction of their lane" in note for note in notes)
     notes = read_recording(load_scenario(scene_of(tmp_path / "two ways", both_ways(table(), 0.0)))).report.notes
     message = [note for note in notes if "drive against the direction of their lane and count as the others do" in note]
     assert len(message) == 1
@@ -298,7 +298,7 @@ def test_what_is_kept_out_is_not_told_to_count(tmp_path):
         if not kept_out:
             del region["region"]["keep_out"]
         notes = read_recording(load_scenario(write_scene(tmp_path, region))).report.notes
-        assert any("against +x" in note for note in notes) is not kept_out
+        assert any("against the direction of their lane" in note for note in notes) is not kept_out
 
 
 # --- No stop without a cause ----------------------------------------------------------------------------------------

@@ -97,6 +97,9 @@ def test_both_carriageways_count_and_drive_opposite_ways():
     ("road", "side", "y_m", "facing_deg"),
     [
         ({}, "right", 0.0, 90.0),
+        ({}, None, 0.0, 90.0),
+        ({"median_m": 0.0}, "left", 18.0, 270.0),
+        ({"drives_on": "left", "setback_m": 0.0, "lanes": 3, "lane_width_m": 3.7, "median_m": 0.0}, None, 22.2, 270.0),
         ({}, "left", WIDTH, 270.0),
         ({}, "median", 11.5, 90.0),
         ({}, "gantry", 5.5, 90.0),
@@ -139,8 +142,10 @@ def test_a_mast_whose_place_alone_is_given_faces_the_road(by, road, y_m, facing_
     facing = [math.degrees(mast.facing_rad) for mast in masts]
     np.testing.assert_allclose(facing, [facing_deg] if by == "y_m" else [45.0, facing_deg])
     again = load_scenario(write_scene(tmp_path, scenario.with_whole_paths()))
-    assert again.deployment.places == scenario.deployment.places
+    assert again.deployment == scenario.deployment
     assert again.baseline == scenario.baseline
+    by_hand = math.degrees(scenario.mounting({"y_m": y_m}).mast.facing_rad)
+    assert by_hand == pytest.approx(facing_deg), "as one that options give"
 
 
 def test_the_axes_of_a_mast_are_square_and_plumb_on_any_slope():
@@ -199,7 +204,9 @@ def test_a_gantry_keeps_its_clearance_and_any_other_mast_over_a_lane_is_refused(
     gantry = site(tmp_path / "gantry", deployment={"side": "gantry", "height_m": [5.0, 7.0]})
     assert sum(map(sum, points_of(gantry, gantry.scenario.deployment.spaces[0].layout([6.0])[0]))) > 500
     assert gantry.scenario.baseline.height_m == 5.0
-    with pytest.raises(InputError, match=r"begins at 4.5 m over the lanes; allowed: 5 m or more, as clearance_m says"):
+    with pytest.raises(
+        InputError, match=r"hangs 4.5 m over the lanes; allowed: 5 m or more, as \[deployment\] clearance_m says"
+    ):
         site(tmp_path / "low", deployment={"side": "gantry", "height_m": [4.5, 7.0]})
     with pytest.raises(InputError, match=r"y 5.5 m stands on the carriageway; allowed: off the lanes, such as x 0"):
         site(tmp_path / "lane", deployment={"y_m": 5.5})
@@ -214,11 +221,11 @@ def test_a_gantry_keeps_its_clearance_and_any_other_mast_over_a_lane_is_refused(
         ("[road]\nmedian_m = 3.0\n", "median_m: is given for one carriageway"),
         (
             '[deployment]\nside = "median"\n',
-            "is a median, but [road] has one carriageway; allowed: [road] carriageways = 2",
+            "is a median, but [road] has none; allowed: with [road] carriageways = 2 and median_m above 0",
         ),
         (
             '[deployment]\nside = "left"\ny_m = -3.0\n',
-            "lies on the side 'right'; allowed: on the side 'left', as side says",
+            "lies to the right of the road; allowed: to the left of the road, as side says",
         ),
         ('[deployment]\nside = "kerb"\n', "allowed: right, left, median, gantry"),
     ],

@@ -248,7 +248,7 @@ class _Stations:
         first, last = np.percentile(x, _COVERED) if len(x) else (0.0, 0.0)
         reach, self._middle = max(region.radius_m, site.observation.lidar.max_range_m), region.centre_xy[0]
         self._low, self._high = first + reach, last - reach
-        self._gantry = site.scenario.deployment.side == "gantry"
+        self._over_lanes = site.scenario.road_map.within
 
     @property
     def is_one(self) -> bool:
@@ -272,8 +272,8 @@ class _Stations:
         beside = np.array([_ABREAST_M, 0.0])
         near = np.flatnonzero(np.abs(self._y - pole[1]) <= self._reach)
         near = near[np.abs(self._x[near] - pole[0]) <= self._reach[near] + _ABREAST_M]
-        if self._gantry:  # what is lower than the LiDAR passes below it
-            near = near[centre[near, 2] + 0.5 * size[near, 2] >= mount.height_m]
+        if self._over_lanes([mount.xy])[0]:  # on a gantry: what is lower than the LiDAR passes below it
+            near = near[centre[near, 2] + 0.5 * size[near, 2] >= mount.pose.height_m]
         return not footprints_meet(centre[near], size[near], heading[near], pole - beside, pole + beside).any()
 
 

@@ -160,6 +160,7 @@ class RoadMap:
         found = []
         for side in (-1.0, 1.0):
             place, lane = np.array(xy, dtype=float), self.locate(np.array([xy])).lane[0]
+            edge = place
             crossed = set()  # around a bend the way across may come back
             while lane >= 0 and lane not in crossed:
                 crossed.add(lane)

@@ -16,11 +16,12 @@ if TYPE_CHECKING:
     from .road_map import RoadMap
 
 _LARGEST_M = 1e6  # sums and squares stay finite
+_ON_EDGE_M = 1e-5  # what lies this near to an edge of a carriageway lies beside it
 
 
 @dataclass(frozen=True, slots=True)
 class StraightRoad:
-    """[road], the road frame beside a straight road: x in the direction of travel, y to the left, the road at y > 0.
+    """[road], the road frame beside a straight road: x in the direction of travel, y to the left.
 
     The defaults are I-80's: past the on-ramp, whose acceleration lane ends at Local_Y 202 m.
 
@@ -32,7 +33,7 @@ class StraightRoad:
         1, which drives along +x; or 2 with a median between them: that on the side of drives_on drives along +x, the
         other one against it.
     median_m : float or None
-        Width of the median [m].
+        Width of the median [m]; 0 where both directions share one carriageway.
     station_m : float
         Local_Y of x = 0 [m].
     right_edge_m : float
@@ -53,7 +54,7 @@ class StraightRoad:
 
     drives_on: str = setting(SIDES[0], allowed=SIDES[:2])
     carriageways: int = setting(1, low=1, high=2)
-    median_m: float | None = setting(None, above=0.0, high=200.0)
+    median_m: float | None = setting(None, low=0.0, high=200.0)
     station_m: float = setting(250.0, low=-_LARGEST_M, high=_LARGEST_M)
     right_edge_m: float = setting(21.9456, low=-_LARGEST_M, high=_LARGEST_M)
     setback_m: float = setting(2.0, low=-_LARGEST_M, high=_LARGEST_M)
@@ -87,16 +88,17 @@ class StraightRoad:
         return right - self.setback_m, 0.5 * math.pi
 
     @property
-    def masts_face_it(self) -> bool:
-        """Whether a mast faces the road from wherever it stands; else all face +y, from the right, unless said."""
+    def faced_from_any_side(self) -> bool:
+        """Whether masts face the road from where they stand unless said; else all face +y."""
         return self.drives_on != SIDES[0] or self.carriageways > 1
 
     def side_of(self, y_m: float) -> str:
         """The side of the road on which a place at y [m] lies; a gantry's, where it is over a carriageway."""
         edges = self.carriageways_y
-        if y_m <= edges[0][0] or y_m >= edges[-1][1]:
-            return "right" if y_m <= edges[0][0] else "left"
-        return "gantry" if any(right < y_m < left for right, left in edges) else "median"
+        if y_m <= edges[0][0] + _ON_EDGE_M or y_m >= edges[-1][1] - _ON_EDGE_M:
+            return "right" if y_m <= edges[0][0] + _ON_EDGE_M else "left"
+        over = any(right + _ON_EDGE_M < y_m < left - _ON_EDGE_M for right, left in edges)
+        return "gantry" if over or not self.median_m else "median"
 
     def of_ngsim(self, along_m: np.ndarray, right_m: np.ndarray) -> np.ndarray:
         """Places of NGSIM, (n, 2) [m, road frame]: Local_Y along travel, and Local_X from the left edge [m], (n,)."""
@@ -130,8 +132,9 @@ class StraightRoad:
 
     @property
     def surface(self) -> CrownedSurface:
-        """The carriageway above the plane z = 0."""
-        return CrownedSurface(self.carriageways_y, 0.01 * self.crown_percent)
+        """The carriageway above the plane z = 0; one of both directions has one crown."""
+        edges = self.carriageways_y if self.median_m else ((self.carriageways_y[0][0], self.carriageways_y[-1][1]),)
+        return CrownedSurface(edges, 0.01 * self.crown_percent)
 
 
 @dataclass(frozen=True, slots=True)

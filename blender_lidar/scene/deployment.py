@@ -5,6 +5,7 @@ Like the other settings it needs the standard library alone, so that help opens 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -41,7 +42,7 @@ class MountingSettings:
         Turn of the tilted sensor, counter-clockwise seen from above.
     facing_deg : float or None
         Which way the mast faces, counter-clockwise from +x; tilts and yaw count from there. By default 90, or what
-        [deployment] side says.
+        [deployment] side says, or towards a road that drives on the left or has two carriageways.
     """
 
     x_m: float = setting(0.0, low=-1e5, high=1e5, option="--x")
@@ -130,7 +131,8 @@ class Pole:
     existing : bool or None
         Whether it stands already.
     facing_deg : float or None
-        Which way it faces, counter-clockwise from +x; that of [deployment] unless said.
+        Which way it faces, counter-clockwise from +x; that of [deployment] unless said, or towards the road where
+        that says nothing either and `Deployment.faces_road`.
     """
 
     name: str
@@ -255,6 +257,8 @@ class Deployment:
         The side of the road, where the scene names it.
     clearance_m : float
         Least height over the lanes, on a gantry [m].
+    faces_road : bool
+        Whether each mast faces the road from where it stands; else the direction in `fixed` holds for all.
     """
 
     fixed: Mapping[str, float]
@@ -264,16 +268,18 @@ class Deployment:
     road: StraightRoad = field(default=StraightRoad(), repr=False)
     side: str | None = None
     clearance_m: float = 5.0
+    faces_road: bool = False
+
+    def facing_at(self, y_m: float) -> float:
+        """Which way a mast at y [m] faces unless it says so itself [degrees]."""
+        if self.faces_road:
+            return math.degrees(self.road.place(self.road.side_of(y_m))[1])
+        return self.fixed["facing_deg"]
 
     @property
     def least_height_m(self) -> float:
         """Least height of a LiDAR above the road: what a gantry keeps clear [m]."""
         return self.clearance_m if self.side == "gantry" else 0.0
-
-    @property
-    def all_face(self) -> bool:
-        """Whether each pole has a direction that it faces of its own."""
-        return all(pole.facing_deg is not None for pole in self.poles)
 
     def at(self, pole: Pole) -> Place:
         """The same on one pole: its place, and its heights above its foot, or those of [deployment] above its foot."""
@@ -283,8 +289,8 @@ class Deployment:
         fixed = {**self.fixed, "x_m": pole.x_m, "y_m": pole.y_m, "height_m": low}
         bounds = {**self.bounds, "height_m": (low, high)}
         (bounds if low == high else fixed).pop("height_m")
-        if pole.facing_deg is not None:
-            fixed["facing_deg"] = pole.facing_deg
+        if pole.facing_deg is not None or self.faces_road:
+            fixed["facing_deg"] = self.facing_at(pole.y_m) if pole.facing_deg is None else pole.facing_deg
         return Place(fixed, {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds}, self.road, pole)
 
     @property

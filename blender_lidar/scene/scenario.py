@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from ..errors import InputError, MissingFileError, shown, unknown_name
 from ..metrics.catalogue import PE_VGOP, metric_named
-from ..names import SIDES
 from ..optimise import SEARCHES, DePso, DePsoSettings, GridSearch, search_named
 from ..road.straight import StraightRoad, road_map
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
@@ -29,7 +28,6 @@ from .deployment import (
     MOUNTING_OR_LEAN,
     STAND,
     Deployment,
-    Pole,
 )
 from .mount_checks import check_degrees
 from .mounting import ANGLES, Mounting, has_lean, mast_at, mounting_from
@@ -59,6 +57,12 @@ _OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single
 _OF_ONE_RECORDING = ("name", "weight", "path", "vehicle_types", "period", "location", "frame_ids")
 _USUAL_MEDIAN_M = 4.0
 _GANTRY_M, _GANTRY_SPAN_M = 8.0, 3.0  # up to which a gantry is searched unless said, and at least so far
+_LIE = {
+    "right": "to the right of the road",
+    "left": "to the left of the road",
+    "median": "in the median",
+    "gantry": "over the lanes",
+}
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
@@ -221,10 +225,10 @@ def _baseline(table: TomlTable, deployment: Deployment, region: RegionSettings) 
     road, place = road_map(deployment.road), {} if deployment.poles else deployment.fixed
     x_m = place.get("x_m", region_of(region, road).centre_xy[0])
     y_m = place.get("y_m", deployment.road.place(deployment.side or deployment.road.drives_on)[0])
-    mast = mast_at(road, x_m, y_m, math.radians(deployment.fixed["facing_deg"]))
+    given = {key: value for key, value in table.read(MOUNTING_OR_LEAN).items() if key in table.values}
+    mast = mast_at(road, x_m, y_m, math.radians(deployment.facing_at(given.get("y_m", y_m))))
     upright = Mounting(mast, max(MOUNTING["height_m"].default, deployment.least_height_m))
-    given = table.read(MOUNTING_OR_LEAN)
-    return mounting_from({key: given[key] for key in given if key in table.values}, road, upright, table.name)
+    return mounting_from(given, road, upright, table.name)
 
 
 def _road(table: TomlTable) -> StraightRoad:
@@ -239,21 +243,18 @@ def _road(table: TomlTable) -> StraightRoad:
 def _stand(table: TomlTable, road: StraightRoad, found: dict[str, object], given: Mapping[str, object]) -> str | None:
     """The side of the road that the mast stands on, where it is said or follows; place and facing go into `found`."""
     side, poles = found.pop("side"), found.pop("poles")
-    if side == "median" and road.carriageways == 1:
+    if side == "median" and not road.median_m:
         raise InputError(
-            f"{table.where('side')}: is a median, but [road] has one carriageway; allowed: [road] carriageways = 2"
+            f"{table.where('side')}: is a median, but [road] has none; allowed: with [road] carriageways = 2 and "
+            "median_m above 0"
         )
     if "y_m" in given and not poles:
         ends = given["y_m"] if isinstance(given["y_m"], tuple) else (given["y_m"],)
         there = sorted({road.side_of(end) for end in ends})
-        if side is None and road.masts_face_it and len(there) == 1 and there[0] != "gantry":
+        if side is None and road.faced_from_any_side and len(there) == 1 and there[0] != "gantry":
             side = there[0]
-        elif side not in (None, "gantry", *there) or (side != "gantry" and side in there and len(there) > 1):
-            raise InputError(
-                f"{table.where('y_m')}: lies on the side {' and '.join(map(repr, there))}; allowed: on the side "
-                f"{side!r}, as side says"
-            )
-    elif side is None and not poles and road.drives_on != SIDES[0]:
+        _check_side(table.where("y_m"), there, side)
+    elif side is None and not poles and road.faced_from_any_side:
         side = road.drives_on
     y_m, facing = road.place(side or road.drives_on)
     if "y_m" not in given and not poles:
@@ -261,6 +262,13 @@ def _stand(table: TomlTable, road: StraightRoad, found: dict[str, object], given
     if found["facing_deg"] is None:
         found["facing_deg"] = math.degrees(facing)
     return side
+
+
+def _check_side(where: str, there: Sequence[str], side: str | None) -> None:
+    """Refuse places that do not lie on the side of the road that a scene names; beside a gantry they may."""
+    if side not in (None, "gantry") and set(there) != {side}:
+        lie = " and ".join(_LIE[one] for one in there)
+        raise InputError(f"{where}: lies {lie}; allowed: {_LIE[side]}, as side says")
 
 
 def _deployment(table: TomlTable, road: StraightRoad) -> Deployment:
@@ -275,23 +283,18 @@ def _deployment(table: TomlTable, road: StraightRoad) -> Deployment:
     least = clearance_m if side == "gantry" else 0.0
     if "height_m" not in given and least:
         found["height_m"] = (least, max(least + _GANTRY_SPAN_M, _GANTRY_M))
-    lowest = min(found["height_m"]) if isinstance(found["height_m"], tuple) else found["height_m"]
-    if lowest < least:
-        raise InputError(
-            f"{table.where('height_m')}: begins at {lowest:g} m over the lanes; allowed: {least:g} m or more, as "
-            "clearance_m says"
-        )
     searched = {key: found[key] for key in DEPLOYMENT if isinstance(found.get(key), tuple)}
     _check_angles(table, searched)
     fixed = {key: value for key, value in found.items() if key not in searched}
-    deployment = Deployment(fixed, searched, road=road, side=side, clearance_m=clearance_m)
+    faces_road = road.faced_from_any_side and "facing_deg" not in given
+    deployment = Deployment(fixed, searched, (), None, road, side, clearance_m, faces_road)
     if poles is None:
         return deployment
     if places := [key for key in ("x_m", "y_m") if key in given]:
         raise InputError(f"{table.name}: has poles and {places[0]}; allowed: a table of places, or one place")
-    facing = None if "facing_deg" in given or side is not None or not road.masts_face_it else road
-    deployment = replace(deployment, poles=tuple(_facing(read_poles(poles), facing)), poles_file=poles)
+    deployment = replace(deployment, poles=read_poles(poles), poles_file=poles)
     for pole in deployment.poles:
+        _check_side(f"{poles}: pole {pole.name!r}", [road.side_of(pole.y_m)], side)
         if "height_m" in deployment.fixed and (pole.height_min_m is None) != (pole.height_max_m is None):
             raise InputError(
                 f"{poles}: pole {pole.name!r}: has one end of its heights, and {table.where('height_m')} none"
@@ -303,15 +306,6 @@ def _deployment(table: TomlTable, road: StraightRoad) -> Deployment:
                 f"allowed: {limits[0]:g} to {limits[1]:g} m, the lower first"
             )
     return deployment
-
-
-def _facing(poles: Sequence[Pole], road: StraightRoad | None) -> Iterator[Pole]:
-    """Poles, those of which nothing says which way they face towards the road, if one is given."""
-    for pole in poles:
-        if road is None or pole.facing_deg is not None:
-            yield pole
-        else:
-            yield replace(pole, facing_deg=math.degrees(road.place(road.side_of(pole.y_m))[1]))
 
 
 def _check_angles(table: TomlTable, searched: Mapping[str, tuple[float, float]]) -> None:

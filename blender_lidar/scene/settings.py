@@ -481,6 +481,8 @@ class Scenario:
 
     def mounting(self, table: Mapping[str, float | None], where: str = "mounting") -> Mounting:
         """The mounting that some coordinates give [m, degrees], with the baseline's others: see `mounting_from`."""
+        if self.deployment.faces_road and table.get("y_m") is not None and table.get("facing_deg") is None:
+            table = {**table, "facing_deg": self.deployment.facing_at(table["y_m"])}
         return mounting_from(table, self.road_map, self.baseline, where)
 
     @property
@@ -509,14 +511,14 @@ class Scenario:
         del tables["source"], tables["where"]
         tables["baseline"] = {key: self.baseline.as_table()[key] for key in MOUNTED}
         tables["deployment"] = {**self.deployment.fixed, **self.deployment.bounds}
+        if self.deployment.faces_road:
+            del tables["deployment"]["facing_deg"]
         if self.deployment.side is not None:
             tables["deployment"] |= {key: getattr(self.deployment, key) for key in ("side", "clearance_m")}
         if self.deployment.poles:
             for key in ("x_m", "y_m"):
                 del tables["deployment"][key]
             tables["deployment"]["poles"] = self.deployment.poles_file
-            if self.deployment.side is None and self.road.masts_face_it and self.deployment.all_face:
-                del tables["deployment"]["facing_deg"]  # each pole has its own, from the table or towards the road
         return tables
 
     def with_whole_paths(self) -> dict[str, dict]:

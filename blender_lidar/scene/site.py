@@ -136,7 +136,8 @@ def check_mount_is_clear(
     for where, mount in mounts.items():
         low, high = _extent(mount)
         along, across = (f"{a:g}" if a == b else f"{a:g} to {b:g}" for a, b in zip(low[:2], high[:2], strict=True))
-        over = _on_lanes(road, low[:2], high[:2])
+        places = _places(road, low[:2], high[:2])
+        over = next(iter(places[road.within(places)]), None)
         gantry = over is not None and scenario.deployment.side == "gantry"
         if over is not None and not gantry:
             right, left = (np.round(edge, 3) + 0.0 for edge in road.beside(over))
@@ -150,7 +151,8 @@ def check_mount_is_clear(
                 f"{where}: the LiDAR hangs {low[2]:g} m over the lanes; allowed: {scenario.deployment.clearance_m:g} m "
                 "or more, as [deployment] clearance_m says"
             )
-        foot_z = np.sort(road.surface.height(np.stack([low[:2], high[:2]])))
+        foot_z = road.surface.height(places)
+        foot_z = np.array([foot_z.min(), foot_z.max()])
         off_feet = np.sort(np.outer((low[2], high[2]), up), axis=0) + np.outer(foot_z, (0.0, 0.0, 1.0))
         head_low, head_high = low * (1.0, 1.0, 0.0) + off_feet[0], high * (1.0, 1.0, 0.0) + off_feet[1]
         for solid in solids:
@@ -169,9 +171,11 @@ def check_mount_is_clear(
                 meets &= vehicles.centre_m[:, 2] + 0.5 * vehicles.size_m[:, 2] >= head_low[2]
             inside = vehicles.vehicle_id[meets]
             if len(inside):
+                top = (vehicles.centre_m[meets, 2] + 0.5 * vehicles.size_m[meets, 2]).max()
+                advice = f"hang it above {top:.2f} m" if gantry else _driven_over(frames, mount)
                 raise InputError(
                     f"{where}: the mount at x {along} m, y {across} m stands inside vehicle {inside[0]} of frame "
-                    f"{vehicles.frame}; {_driven_over(frames, mount)}"
+                    f"{vehicles.frame}; {advice}"
                 )
 
 
@@ -190,13 +194,11 @@ def _driven_over(frames: Sequence[Vehicles], mount: Place | Mounting) -> str:
     return f"vehicles drive there from {first:.1f} to {last:.1f} m in front of the mast: move it beside them"
 
 
-def _on_lanes(road: RoadMap, low: np.ndarray, high: np.ndarray) -> np.ndarray | None:
-    """A place of the rectangle from `low` to `high`, (2,) each [m], that lies on a lane; None where none does."""
+def _places(road: RoadMap, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Places all over the rectangle from `low` to `high`, (2,) each, not farther apart than half a lane, (n, 2) [m]."""
     steps = np.ceil((high - low) / (0.5 * road.width_m.min())).clip(1, _MOST_STEPS).astype(int) + 1
     x, y = (np.linspace(a, b, n) for a, b, n in zip(low, high, steps, strict=True))
-    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    on = places[road.within(places)]
-    return on[0] if len(on) else None
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
 def footprints_meet(

@@ -38,7 +38,7 @@ JAM_GAPS_M = (1.0, 2.5)
 TRUCK_SHARES = (0.0, 0.1, 0.3)
 CAR, VAN, TRUCK, BUS = (CLASSES.index(name) for name in ("car", "van", "truck", "bus"))
 SIZE_M = {TRUCK: (12.7, 2.59, 3.8), CAR: (4.5, 2.1, 1.5)}  # I-80's median lorry, as high as NGSIM's get, and car
-_BETWEEN = -(10**9)  # number of the strip between the carriageways
+_BETWEEN = -(10**9)  # number of the strip next to the left carriageway, between both
 _ALONG = np.cos(np.radians(30.0))  # of the heading: what drives across the road does not queue
 
 Gaps = Callable[[np.ndarray], np.ndarray]
@@ -164,7 +164,7 @@ def queued(
     along = np.abs(np.cos(vehicles.heading_rad)) >= _ALONG
     at, (right, left), width = road.locate(vehicles.centre_m), road.edges_t, float(np.median(road.width_m))
     aside = np.floor((at.t_m - np.where(at.t_m < right, right, left)) / width).astype(int)
-    beside = np.select([at.t_m < right, at.t_m >= left], [aside, len(road) + aside], _BETWEEN)
+    beside = np.select([at.t_m < right, at.t_m >= left], [aside, len(road) + aside], _BETWEEN + aside)
     lane = np.where(at.lane >= 0, at.lane, beside)
     x = at.s_m.copy()
     copies = []  # of each: rows, their places, and by how many periods they are shifted
