@@ -159,7 +159,8 @@ class Judged:
 
     def per_vehicle_under(self, weights: np.ndarray) -> np.ndarray:
         """`per_vehicle` with each block of time counted `weights` (r, b) times, (r,)."""
-        objective = weights @ block_sums(self.totals.objective, self.block).T
+        sums = block_sums(self.totals.objective, self.block)
+        objective = np.einsum("rb,mb->rm", weights, sums)  # the same digits in any process, which BLAS does not promise
         return aimed(objective / (weights @ self.block_weight)[:, None], self.aim)
 
     def scores(self) -> dict[str, float]:
