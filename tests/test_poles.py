@@ -251,6 +251,28 @@ def test_what_only_breaks_ties_tells_no_poles_apart():
     assert held["differs"] is False
 
 
+def test_the_intervals_of_poles_do_not_depend_on_the_order_of_their_table():
+    cars = [replace(one_vehicle("car", (3.0 * number - 15.0, 8.0)), frame=number) for number in range(12)]
+    frames = [CountedFrame(car, np.ones(1, dtype=bool)) for car in cars]
+    seen = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=4), 60.0, 0.4),), "exact", "body", 0.05)
+    scoring = Scoring(1e-6, "mean", None, "corrected", "pe-vgop")
+    plan = SimpleNamespace(holdout_block=np.arange(8), holdout_recording=np.zeros(8, dtype=int))
+    site = SimpleNamespace(plan=plan, scoring=scoring, scenario=SimpleNamespace(search=SimpleNamespace(seed=1)))
+    found = []
+    with Evaluator(frames[:4], seen, scoring, held_out=frames[4:]) as evaluator:
+        for places in ((-20.0, 0.0, -8.0), (0.0, -8.0, -20.0)):
+            plans = [(mounting({"height_m": 3.0, "tilt_x_deg": 17.0, "y_m": y}),) for y in places]
+            spaces = [SearchSpace((Place({}, {}, pole=Pole(f"{y:g}", 0.0, y)),)) for y in places]
+            rows, _ = rank_places(site, evaluator, spaces, plans)
+            found.append({row["name"]: (row["rank"], row["holdout"]["interval_90"]) for row in rows})
+    one, other = found
+    assert [one[name][0] for name in one] == [1, 2, 3]
+    for name in one:
+        assert one[name][0] == other[name][0]
+        if one[name][0] > 1:
+            np.testing.assert_allclose(one[name][1], other[name][1], rtol=1e-9)
+
+
 def test_poles_without_a_name_are_not_asked_for(tmp_path, capsys):
     line = refused(capsys, tmp_path, "evaluate", write_scene(tmp_path), "--pole", "lamp", "--out", "run")
     assert "--pole: is 'lamp', but the scene has no [deployment] poles" in line
