@@ -179,6 +179,11 @@ STOPS = {  # by name: the rows, the scene, and what the line says
         {},
         "11 by 2.5 by 1.5 m, as high as a median car.*one size or height for all.*--accept sizes",
     ),
+    "one in twenty-five there twice": (
+        again(0.04),
+        {},
+        "boxes stand where another one does.*there twice.*--accept overlaps",
+    ),
     "a fifth there twice": (again(0.2), {}, "pairs of boxes overlap.*there twice.*--accept overlaps"),
     "one size for all": (
         table(length_m=lambda row: 4.4, width_m=lambda row: 1.8, height_m=lambda row: 1.5),

@@ -13,6 +13,7 @@ import numpy as np
 from ..clouds.files import levelled
 from ..errors import InputError, MissingFileError, printable, unknown_name
 from ..files import make_folder, read_text, reading, write_columns, write_text
+from ..road.road_map import wrap_angle
 from ..sensors.pose import Pose
 from ..traffic.boxes import KINDS, DetectedBoxes, boxes_of_rows, join_boxes
 from ..traffic.source import Column, Rows, TableLayout, fields_of, first_lines, read_rows
@@ -145,7 +146,7 @@ def kitti_camera(boxes: DetectedBoxes | Vehicles, pose: Pose) -> tuple[np.ndarra
     """
     ahead, left, up = levelled(boxes.centre_m, pose).T
     bottom = np.column_stack([-left, 0.5 * boxes.size_m[:, 2] - up, ahead])
-    return bottom, _half_turn(pose.yaw - boxes.heading_rad)
+    return bottom, wrap_angle(pose.yaw - boxes.heading_rad)
 
 
 def _from_kitti_camera(bottom: np.ndarray, height: np.ndarray, rotation_y: np.ndarray, pose: Pose):
@@ -153,11 +154,7 @@ def _from_kitti_camera(bottom: np.ndarray, height: np.ndarray, rotation_y: np.nd
     cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
     right, down, ahead = bottom.T
     centre = np.column_stack([cos * right - sin * ahead, sin * right + cos * ahead, 0.5 * height - down])
-    return pose.position + centre, _half_turn(pose.yaw - rotation_y)
-
-
-def _half_turn(angle: np.ndarray) -> np.ndarray:
-    return np.arctan2(np.sin(angle), np.cos(angle))
+    return pose.position + centre, wrap_angle(pose.yaw - rotation_y)
 
 
 def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes], poses: Poses) -> None:

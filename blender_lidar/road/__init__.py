@@ -2,6 +2,4 @@
 
 from .straight import StraightRoad
 
-RoadFrame = StraightRoad
-
-__all__ = ["RoadFrame", "StraightRoad"]
+__all__ = ["StraightRoad"]

@@ -13,6 +13,11 @@ _ON_EDGE_M = 1e-9  # what lies this near to an edge lies on it
 _BESIDE_M = 0.01  # far enough from an edge to lie on one side of it, across the gaps between the lanes of a bend
 
 
+def wrap_angle(angle):
+    """The same angle within half a turn of 0 [rad]."""
+    return np.arctan2(np.sin(angle), np.cos(angle))
+
+
 class Located(NamedTuple):
     """Where n places lie on a road.
 
@@ -111,13 +116,13 @@ class RoadMap:
         away_of, outside_of = (np.take_along_axis(each, nearest, axis=1) for each in (away, outside))
         turn = np.zeros_like(away_of)
         if heading_rad is not None:
-            difference = np.asarray(heading_rad)[:, None] - direction[nearest]
-            turn = np.where(outside_of, 0.0, np.abs(np.arctan2(np.sin(difference), np.cos(difference))))
+            difference = wrap_angle(np.asarray(heading_rad)[:, None] - direction[nearest])
+            turn = np.where(outside_of, 0.0, np.abs(difference))
         chosen = np.lexsort((away_of, turn, outside_of), axis=1)[:, :1]
         best = np.take_along_axis(nearest, chosen, axis=1)[:, 0]
         at = np.arange(len(best)), best
         lane = np.where(outside[at], -1, row[best])
-        heading = np.arctan2(np.sin(direction), np.cos(direction))[best]
+        heading = wrap_angle(direction)[best]
         return Located(lane, s.clip(low, high)[at] + station[best], t[at] + self.offset_m[row[best]], heading)
 
     def on(self, xy: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..road.road_map import wrap_angle
 from ..traffic.tracks import central_velocity, held_heading
 from ..traffic.vehicles import Placing, Recording
 from . import usual
@@ -33,7 +34,7 @@ class Moves(NamedTuple):
 
     def astray(self, heading_rad: np.ndarray) -> np.ndarray:
         """How far headings are off the directions of motion, counter-clockwise, (m,) [rad]."""
-        return within_half_a_turn(np.arctan2(self.moved_m[:, 1], self.moved_m[:, 0]) - heading_rad)
+        return wrap_angle(np.arctan2(self.moved_m[:, 1], self.moved_m[:, 0]) - heading_rad)
 
     def share_astray(self, heading_rad: np.ndarray) -> float:
         return float((np.abs(self.astray(heading_rad)) > usual.ASTRAY_RAD).mean())
@@ -74,7 +75,7 @@ class Tracks:
         """From each row to that so many rows later."""
         first = np.flatnonzero(self.vehicle[rows:] == self.vehicle[:-rows])
         later = first + rows
-        turn = within_half_a_turn(self.heading_rad[later] - self.heading_rad[first])
+        turn = wrap_angle(self.heading_rad[later] - self.heading_rad[first])
         seconds, moved = self.time_s[later] - self.time_s[first], self.xy[later] - self.xy[first]
         return Moves(first, later, seconds, moved, self.heading_rad[first] + 0.5 * turn, turn)
 
@@ -95,10 +96,6 @@ class Tracks:
             found, far = over, more
         kept = np.flatnonzero(far)
         return Moves(*(column[kept[:: -(-len(kept) // usual.SAMPLE) or 1]] for column in found))
-
-
-def within_half_a_turn(angle):
-    return np.arctan2(np.sin(angle), np.cos(angle))
 
 
 # --- The checks: what each has seen, and what is probably meant; nothing where all may be true --------------------
@@ -189,7 +186,7 @@ def headings(tracks: Tracks, scenario: Scenario) -> str | None:
     if share <= usual.MANY and off <= usual.OFF_RAD:
         return _standing_astray(tracks)
     placing = Placing(heading_deg=scenario.traffic.heading_deg or 0.0)
-    in_file = within_half_a_turn(ways.heading_rad + math.radians(placing.heading_deg))
+    in_file = wrap_angle(ways.heading_rad + math.radians(placing.heading_deg))
     meant = {
         "reversed, by half a turn": in_file + math.pi,
         "clockwise from north, as a compass has them (counter-clockwise from +x is 90 less the bearing), or x and y "
@@ -236,7 +233,7 @@ def _standing_astray(tracks: Tracks) -> str | None:
     velocity = central_velocity(tracks.vehicle, tracks.time_s, tracks.xy)
     known, _ = held_heading(tracks.vehicle, velocity, np.nan)
     stands = (np.hypot(*velocity.T) < usual.STANDS_M_S) & ~np.isnan(known)
-    astray = np.abs(within_half_a_turn(tracks.heading_rad - known)[stands]) > usual.ASTRAY_RAD
+    astray = np.abs(wrap_angle(tracks.heading_rad - known)[stands]) > usual.ASTRAY_RAD
     if stands.sum() < usual.FEWEST or astray.mean() <= usual.MANY or astray.sum() <= usual.FEW * len(stands):
         return None
     return (

@@ -10,10 +10,10 @@ import numpy as np
 
 from ..errors import InputError
 from ..names import SIDES
+from ..road.road_map import wrap_angle
 from ..traffic.lanes import LANE_WIDTHS_M, USUAL_LANE_M, density_peaks
-from ..traffic.vehicles import Recording
+from ..traffic.vehicles import Recording, frames_looked_at, overlapping_pairs
 from . import usual
-from .motion_checks import within_half_a_turn
 from .region import Region, region_of
 from .settings import Scenario
 
@@ -125,7 +125,7 @@ def _place_meant(t: np.ndarray, recording: Recording, scenario: Scenario) -> str
 def _turn_meant(axis: float, scenario: Scenario) -> tuple[float, float]:
     """A direction in the road frame [rad] in degrees, and as what `heading_deg` would make it the road's."""
     turns = axis, axis + math.radians(scenario.traffic.heading_deg or 0.0)
-    return tuple(round(math.degrees(within_half_a_turn(angle)), 1) + 0.0 for angle in turns)
+    return tuple(round(math.degrees(wrap_angle(angle)), 1) + 0.0 for angle in turns)
 
 
 def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accepted: bool) -> Iterator[str]:
@@ -221,13 +221,29 @@ def overlaps(recording: Recording) -> str | None:
     """Boxes that stand in one another."""
     pairs, boxes = _overlapping(recording)
     most = usual.SOME if recording.report.periods else usual.OVERLAPPING  # NGSIM's are under 0.1 %
-    if boxes < usual.FEWEST or pairs <= most * boxes:
+    if boxes < usual.FEWEST or not pairs:
+        return None
+    twice = _in_one_place(recording)
+    if usual.FEW * boxes < twice <= most * boxes:
+        return f"{twice:,} of {boxes:,.0f} boxes stand where another one does; probably vehicles are there twice"
+    if pairs <= most * boxes:
         return None
     return (
         f"{pairs:,} pairs of boxes overlap among {boxes:,.0f} (usual: none, or a few in a hundred); probably vehicles "
         "are there twice under other ids, sizes are too large (of SUMO's: give vehicle_types), or places are not the "
         "boxes' centres (but bumpers), or not in metres (but degrees of longitude and latitude, or feet)"
     )
+
+
+def _in_one_place(recording: Recording) -> int:
+    """Pairs of boxes that overlap about one middle, in the frames in which overlaps were looked for."""
+    found = 0
+    for frame in frames_looked_at(recording):
+        vehicles = recording.vehicles(frame)
+        one, other = overlapping_pairs(vehicles).T
+        apart = vehicles.centre_m[one, :2] - vehicles.centre_m[other, :2]
+        found += int((np.hypot(*apart.T) < usual.SAME_PLACE_M).sum())
+    return found
 
 
 # --- Where vehicles are --------------------------------------------------------------------------------------------

@@ -29,6 +29,7 @@ LONG_M, HIGHER_M = 7.0, 0.2  # trucks and buses this long are higher than cars b
 ALIKE_M = 0.05  # sizes that differ by less are one number
 OFF_MIDDLE_M = 0.5  # of a box above its half height: more than kerbs, lorries' axles and survey errors
 OVERLAPPING = 0.12  # pairs a box: unrelated labels reach 0.1; a fifth of the vehicles there twice make 0.16
+SAME_PLACE_M = 0.5  # between the middles of two boxes: no two vehicles are so near
 LENGTH_VARIES = 0.05  # of itself, along one track: trackers that fit a box in each frame
 
 # --- Motion

@@ -24,7 +24,7 @@ from ..scene.site import Site, lattice_of
 from ..scoring.fidelity import Fidelity, coarse_observation
 from ..sensors.beams import beam_lattice
 from ..traffic.vehicles import CLASSES, Vehicles
-from ..world.scenery import barrier, join
+from ..world.scenery import along_road, barrier, join
 from ..world.shapes import DETAILS
 from .driver import Variation
 
@@ -338,9 +338,8 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
     own = of_fidelity(Fidelity(site.scenario.world.detail))
     box, body, detailed = (of_fidelity(Fidelity(level)) for level in DETAILS)
 
-    right, left = site.scenario.road_map.edges_t
-    middle = right + (left - right) / len(site.scenario.road_map) * (len(site.scenario.road_map) // 2)
-
+    road, (right, left) = site.scenario.road_map, site.scenario.road_map.edges_t
+    middle = right + (left - right) / len(road) * (len(road) // 2)
     barrier_at = f"on the middle lane line, y {middle:g} m"
     with_barrier = Variation(ABLATION, "median barrier", barrier_at, partial(_with_barrier, y_m=middle))
     return [
@@ -354,8 +353,9 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
 
 def _with_barrier(site: Site, y_m: float) -> Site:
     """The site with a concrete barrier along its whole region besides what stands there."""
-    observation, x = site.observation, site.region.centre_xy[0]
-    more = barrier("concrete", y_m, (x - site.reach_m, x + site.reach_m))
+    observation, road = site.observation, site.scenario.road_map
+    s = road.locate(np.array([site.region.centre_xy])).s_m[0]
+    more = along_road(road, barrier("concrete", y_m, (s - site.reach_m, s + site.reach_m)))
     standing = observation.scenery or StandingScenery(join([]), observation.caster)
     return replace(site, observation=replace(observation, scenery=standing.beside(more)))
 

@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import InputError
 from ..names import SIDES
 from ..road import StraightRoad
+from ..road.road_map import wrap_angle
 from .lanes import FEW, FEWEST_ON_A_ROAD, ONE_CARRIAGEWAY_M, Lanes, lanes_across
 from .tracks import central_velocity, held_heading
 from .vehicles import Placing, Recording
@@ -222,11 +223,7 @@ class _Samples:
 
     def off(self, direction: float) -> np.ndarray:
         """Angle between each heading and a direction, (n,) [rad], without sign; NaN where there is no heading."""
-        return np.abs(_within_half_turn(self.heading - direction))
-
-
-def _within_half_turn(angle):
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+        return np.abs(wrap_angle(self.heading - direction))
 
 
 def _turned(xy: np.ndarray, direction: float) -> tuple[np.ndarray, np.ndarray]:
@@ -396,7 +393,7 @@ def _sharpest(near: _Samples, place: np.ndarray, direction: float) -> float:
             sharpness.append((np.convolve(counts, [0.25, 0.5, 0.25]) ** 2).sum())
         best = np.array(sharpness)
         direction = float(candidates[best >= best.max() * (1.0 - 1e-9)].mean())
-    return math.radians(round(math.degrees(_within_half_turn(direction)), 2))
+    return math.radians(round(math.degrees(wrap_angle(direction)), 2))
 
 
 # --- Where a pole may stand beside it ---------------------------------------------------------------------
@@ -497,7 +494,7 @@ def _bend(everything: _Samples, here: np.ndarray) -> float:
         return 0.0
     chords = np.diff(everything.xy[np.array(rows)[:, long]], axis=0)
     turn = np.diff(np.arctan2(chords[..., 1], chords[..., 0]), axis=0)[0]
-    return float(np.median(_within_half_turn(turn) * 4.0 * _CHORD_M / lengths[:, long].sum(axis=0)))
+    return float(np.median(wrap_angle(turn) * 4.0 * _CHORD_M / lengths[:, long].sum(axis=0)))
 
 
 def _clear(everything: _Samples, u, v, direction: float, line: float, edges: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import InputError, printable
+from ..road.road_map import wrap_angle
 
 # --- What reading a recording found and repaired ----------------------------------------------------------
 
@@ -316,8 +317,7 @@ class Placing:
 
     def headings(self, heading_rad: np.ndarray) -> np.ndarray:
         """Headings from the file's +x, (n,) [rad], as headings from the road's, within half a turn."""
-        turned = heading_rad - math.radians(self.heading_deg)
-        return np.arctan2(np.sin(turned), np.cos(turned))
+        return wrap_angle(heading_rad - math.radians(self.heading_deg))
 
 
 # --- Vehicles that stand in one another: a defect of recordings that is reported, not repaired ------------
