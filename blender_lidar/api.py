@@ -33,11 +33,12 @@ from .results import Run, Scan, Score, table_of
 from .run.optimise import ended_search, evaluate_site, optimise_site
 from .run.verdict import POINTS, vehicle_table
 from .scene.deployment import MOUNTING, MOUNTING_OR_LEAN
+from .scene.mount_checks import check_mount_is_clear
 from .scene.mounting import LEANS, Mounting
 from .scene.provenance import check_same_inputs
 from .scene.scenario import load_scenario, scenario_of
 from .scene.settings import DECLARED
-from .scene.site import Site, check_mount_is_clear, frame_of, prepare, reach_of
+from .scene.site import Site, frame_of, prepare, reach_of
 from .scoring.evaluation import Evaluator, site_evaluator
 from .toml_table import checked, settings_of
 from .traffic.vehicles import Vehicles

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
+from blender_lidar.scene.mount_checks import check_mount_is_clear, footprints_meet
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.scene.site import check_mount_is_clear, footprints_meet
 from tests.sample_traffic import one_vehicle
 from tests.small_scene import REGION, mounting, write_scene
 

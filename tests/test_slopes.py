@@ -12,9 +12,10 @@ from blender_lidar.clouds.files import levelled
 from blender_lidar.detection.judge import believed, sensor_at
 from blender_lidar.errors import InputError
 from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.scene.mount_checks import check_mount_is_clear
 from blender_lidar.scene.mounting import COORDINATES, Mounting, mast_at, mounting_from
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.scene.site import check_mount_is_clear, prepare, read_recording
+from blender_lidar.scene.site import prepare, read_recording
 from blender_lidar.scoring import frame_scorer
 from blender_lidar.sensors.pose import Pose, rotation_matrix
 from blender_lidar.world.triangles import vehicle_triangles

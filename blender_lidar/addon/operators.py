@@ -17,9 +17,10 @@ from ..files import check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
 from ..run.folder import RunFolder
 from ..run.optimise import evaluate_site
+from ..scene.mount_checks import check_mount_is_clear
 from ..scene.mounting import Mounting, mounting_from
 from ..scene.scenario import Scenario, load_scenario, scenario_of, shipped_scenes
-from ..scene.site import check_mount_is_clear, lattice_of, prepare, read_recordings, standing_scenery
+from ..scene.site import lattice_of, prepare, read_recordings, standing_scenery
 from ..sensors.pose import Pose
 from ..toml_table import read_toml
 from ..traffic import Recording

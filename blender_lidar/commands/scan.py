@@ -18,10 +18,11 @@ from ..names import CLOUD_SUFFIXES
 from ..report.page import RENDER_VIEWS, render_file, write_report
 from ..report.summary import warnings_text
 from ..run.folder import SCENE, RunFolder
+from ..scene.mount_checks import check_mount_is_clear
 from ..scene.mounting import Mounting
 from ..scene.provenance import check_same_inputs
 from ..scene.scenario import load_scenario
-from ..scene.site import check_mount_is_clear, frame_of, read_recording
+from ..scene.site import frame_of, read_recording
 from ..toml_table import Setting, checked
 from ..traffic import Recording
 from ..traffic.boxes import DetectedBoxes

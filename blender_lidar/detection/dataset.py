@@ -18,12 +18,13 @@ import numpy as np
 from ..casting.culling import Pieces, reachable_beams
 from ..casting.protocol import StandingScenery
 from ..clouds.scan import FrameScan, PointCloud, Turn
+from ..scene.mount_checks import footprints_meet
 from ..scene.mounting import Mounting
 from ..scene.observation import Observation
 from ..scene.provenance import versions
 from ..scene.region import Region
 from ..scene.scenario import Scenario
-from ..scene.site import Site, footprints_meet, standing_scenery
+from ..scene.site import Site, standing_scenery
 from ..scoring.frame_scorer import FrameShapes
 from ..scoring.workers import Workers
 from ..sensors.beams import BeamLattice

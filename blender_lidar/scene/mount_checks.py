@@ -1,21 +1,178 @@
-"""Checks of mountings and sensor: angles in radians, tilts away from the road, unusual heights and noise.
+"""Checks of mountings and sensor: what stands or hangs in the way, angles in radians, unusual heights and noise.
 
-Nothing here stops a run but a searched angle that can hardly be degrees; the rest are notes.
+A mast stands beside the traffic, never in it, and no LiDAR hangs inside a box or a barrier: that stops a run, as does a
+searched angle that can hardly be degrees. The rest are notes.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from ..errors import InputError
+from ..road.road_map import RoadMap
+from ..traffic.vehicles import Vehicles, rectangles_overlap
+from ..world.scenery import HALF_WIDTH_M, HEIGHT_M
 from . import usual
 from .deployment import Place
-from .mounting import Mounting
-from .settings import Scenario
+from .mounting import PLACE, Mounting
+from .settings import BarrierSettings, BoxSettings, Scenario
+
+# --- Where masts stand and LiDARs hang, beside the lanes, the traffic and what stands still ---------------------------
+
+_ABREAST_M = 20.0  # what passes this near to a mast has been or will be beside it
+_TOUCHING_M = 1e-6  # a mount that touches a vehicle counts as inside
+_MOST_STEPS = 400  # along each side of a searched rectangle: half a lane apart, where it is no larger
+
+
+def extent(mount: Place | Mounting) -> tuple[np.ndarray, np.ndarray]:
+    """From where to where a LiDAR may hang: x and y of its mast's foot and its height, (3,) each [m]."""
+    if isinstance(mount, Mounting):
+        return np.array([*mount.xy, mount.height_m]), np.array([*mount.xy, mount.height_m])
+    return tuple(np.transpose([mount.span(key) for key in PLACE]))
+
+
+class _Reach(NamedTuple):
+    """Where a mount that is asked about may be."""
+
+    said: str  # what errors call it
+    facing_rad: float
+    feet: tuple[np.ndarray, np.ndarray]  # corners of the rectangle where its mast stands, (2,) each [m]
+    head_low: np.ndarray  # of the box in which the LiDAR hangs, (3,) [m]
+    head_high: np.ndarray
+    over_lanes: bool
+
+
+def check_mount_is_clear(
+    scenario: Scenario, frames: Iterable[Vehicles], mounts: Mapping[str, Mounting] | None = None
+) -> None:
+    """Refuse a mount on the carriageway or inside a vehicle, or a LiDAR inside one of [world]'s boxes or barriers.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The road.
+    frames : iterable of Vehicles
+        The traffic.
+    mounts : mapping of str to Mounting, optional
+        Mounts to check, by the option that gave them; the scene's searched places and baseline if left out.
+
+    Raises
+    ------
+    InputError
+        Naming the place, and the lane's edges, the box, or the vehicle and frame.
+    """
+    if mounts is None:
+        poles_file = scenario.deployment.poles_file
+        mounts = {
+            f"{poles_file}: pole {place.pole.name!r}" if place.pole else scenario.where("deployment", "x_m, y_m"): place
+            for place in scenario.deployment.places
+        }
+        mounts[scenario.where("baseline", "x_m, y_m")] = scenario.baseline
+    solids = [*scenario.world.boxes, *map(_box_around, scenario.world.barriers)]
+    frames = list(frames)
+    for where, mount in mounts.items():
+        reach = _reach(scenario, where, mount)
+        _check_solids(reach, where, solids)
+        _check_vehicles(reach, frames)
+
+
+def _reach(scenario: Scenario, where: str, mount: Place | Mounting) -> _Reach:
+    """What a mount may reach; over a lane it must be a gantry's, above its clearance."""
+    (low, high), road = extent(mount), scenario.road_map
+    x, y = (f"{a:g}" if a == b else f"{a:g} to {b:g}" for a, b in zip(low[:2], high[:2], strict=True))
+    said, clearance_m = f"{where}: the mount at x {x} m, y {y} m", scenario.deployment.clearance_m
+    places = _places(road, low[:2], high[:2])
+    over = places[road.within(places)]
+    if len(over) and scenario.deployment.side != "gantry":
+        right, left = (np.round(edge, 3) + 0.0 for edge in road.beside(over[0]))
+        raise InputError(
+            f"{said} stands on the carriageway; allowed: off the lanes, such as x {right[0]:g}, y {right[1]:g} m or x "
+            f'{left[0]:g}, y {left[1]:g} m, or [deployment] side = "gantry"'
+        )
+    if len(over) and low[2] < clearance_m:
+        raise InputError(
+            f"{where}: the LiDAR hangs {low[2]:g} m over the lanes; allowed: {clearance_m:g} m or more, as "
+            "[deployment] clearance_m says"
+        )
+    ground = road.surface.height(places)
+    lowest, highest = np.sort(np.outer((low[2], high[2]), road.up), axis=0)  # off the feet
+    head_low = np.array([*low[:2], ground.min()]) + lowest
+    head_high = np.array([*high[:2], ground.max()]) + highest
+    one = mount if isinstance(mount, Mounting) else mount.mounting([end for end, _ in mount.bounds.values()])
+    return _Reach(said, one.mast.facing_rad, (low[:2], high[:2]), head_low, head_high, len(over) > 0)
+
+
+def _check_solids(reach: _Reach, where: str, solids: Iterable[BoxSettings]) -> None:
+    """Refuse a LiDAR that may hang inside a box."""
+    for solid in solids:
+        middle, half = solid.centre_m[2], 0.5 * solid.size_m[2]
+        box = np.array([solid.centre_m]), np.array([solid.size_m]), np.radians([solid.heading_deg])
+        beside = reach.head_low[2] > middle + half or reach.head_high[2] < middle - half
+        if not beside and footprints_meet(*box, reach.head_low, reach.head_high).any():
+            raise InputError(f"{where}: the LiDAR hangs inside {solid.name!r} of [world]; move one of them")
+
+
+def _check_vehicles(reach: _Reach, frames: Sequence[Vehicles]) -> None:
+    """Refuse a mast that may stand in a vehicle, and over the lanes a LiDAR that one reaches up to."""
+    (low, high), head_low, head_high = reach.feet, reach.head_low[:2], reach.head_high[:2]
+    for vehicles in frames:
+        boxes = vehicles.centre_m, vehicles.size_m, vehicles.heading_rad
+        meets = footprints_meet(*boxes, np.minimum(low, head_low), np.maximum(high, head_high))
+        top = vehicles.centre_m[:, 2] + 0.5 * vehicles.size_m[:, 2]
+        if reach.over_lanes:
+            meets &= top >= reach.head_low[2]
+        if meets.any():
+            advice = f"hang it above {top[meets].max():.2f} m" if reach.over_lanes else _driven_over(frames, reach)
+            first = vehicles.vehicle_id[meets][0]
+            raise InputError(f"{reach.said} stands inside vehicle {first} of frame {vehicles.frame}; {advice}")
+
+
+def _driven_over(frames: Sequence[Vehicles], reach: _Reach) -> str:
+    """Where vehicles pass where a mast may stand, as advice."""
+    (low, high), facing = reach.feet, reach.facing_rad
+    xy, size, heading = (
+        np.concatenate([getattr(vehicles, key) for vehicles in frames]) for key in ("centre_m", "size_m", "heading_rad")
+    )
+    off = np.hypot(*(xy[:, :2] - np.clip(xy[:, :2], low, high)).T)
+    near, turn = off <= _ABREAST_M + 0.5 * size[:, 0], heading - facing
+    ahead = (xy[:, :2] - 0.5 * (low + high)) @ (math.cos(facing), math.sin(facing))
+    half = 0.5 * (size[:, 0] * np.abs(np.cos(turn)) + size[:, 1] * np.abs(np.sin(turn)))
+    first, last = (ahead - half)[near].min(), (ahead + half)[near].max()
+    return f"vehicles drive there from {first:.1f} to {last:.1f} m in front of the mast: move it beside them"
+
+
+def _places(road: RoadMap, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Places all over the rectangle from `low` to `high`, (2,) each, not farther apart than half a lane, (n, 2) [m]."""
+    steps = np.ceil((high - low) / (0.5 * road.width_m.min())).clip(1, _MOST_STEPS).astype(int) + 1
+    x, y = (np.linspace(a, b, n) for a, b, n in zip(low, high, steps, strict=True))
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+def footprints_meet(
+    centre: np.ndarray, size: np.ndarray, heading: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Which boxes' footprints overlap the axis-parallel rectangle from `low` to `high`, (n,) bool.
+
+    `centre` and `size` are (n, 2) or more [m], `heading` is (n,) [rad]; of `low` and `high` x and y count.
+    """
+    low, high = low[:2], high[:2]
+    rectangle = 0.5 * (low + high), 0.5 * (high - low) + _TOUCHING_M, 0.0
+    return rectangles_overlap(centre[:, :2], 0.5 * size[:, :2], heading, *rectangle)
+
+
+def _box_around(barrier: BarrierSettings) -> BoxSettings:
+    (first, last), height = barrier.x_m, HEIGHT_M
+    centre = (0.5 * (first + last), barrier.y_m, 0.5 * height)
+    size = (last - first, 2 * HALF_WIDTH_M, height)
+    return BoxSettings(name=f"{barrier.kind} at y {barrier.y_m:g} m", centre_m=centre, size_m=size)
+
+
+# --- Angles in radians, tilts away from the road, unusual heights and noise -------------------------------------------
 
 _ANGLES = ("tilt_x_deg", "tilt_y_deg", "yaw_deg", "lean_deg", "lean_direction_deg", "spin_deg")
 _OF_A_CIRCLE = ("yaw_deg", "lean_direction_deg", "spin_deg")

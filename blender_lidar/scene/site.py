@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,20 +19,19 @@ from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames, read_traffic
 from ..traffic.fleet import with_variety
 from ..traffic.frames import few_vehicles
-from ..traffic.vehicles import rectangles_overlap, unknown_frame
+from ..traffic.vehicles import unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
-from ..world.scenery import HALF_WIDTH_M, HEIGHT_M, Scenery, along_road, barrier, box, boxes_reach, join, road_surface
-from .deployment import Place
-from .mount_checks import mount_notes
-from .mounting import PLACE, Mounting
+from ..world.scenery import Scenery, along_road, barrier, box, boxes_reach, join, road_surface
+from .mount_checks import check_mount_is_clear, extent, mount_notes
+from .mounting import Mounting
 from .observation import CountedFrame, Observation, Scoring, check_weights, vehicle_weights
 from .place_checks import nobody_there
 from .plausibility import checked_recording
 from .provenance import run_identity, unchanged_inputs
 from .region import Region, region_of
 from .scenario import Scenario
-from .settings import BarrierSettings, BoxSettings, ObjectiveSettings, SensorSettings, WorldSettings
+from .settings import ObjectiveSettings, SensorSettings, WorldSettings
 
 # --- The scenery that a scene's [world] describes: files that Blender reads, boxes and barriers, in the road frame -
 
@@ -63,15 +62,8 @@ def read_scenery(scenario: Scenario, reach_m: float, given: Sequence[Mounting] =
 
 def _may_hang(scenario: Scenario, given: Sequence[Mounting]) -> list[tuple[np.ndarray, np.ndarray]]:
     """Where LiDARs may hang, as corners x, y of rectangles [m]: what is searched, the baseline, mountings by hand."""
-    extents = map(_extent, (*scenario.deployment.places, scenario.baseline, *given))
+    extents = map(extent, (*scenario.deployment.places, scenario.baseline, *given))
     return [(low[:2], high[:2]) for low, high in extents]
-
-
-def _extent(mount: Place | Mounting) -> tuple[np.ndarray, np.ndarray]:
-    """From where to where a LiDAR may hang: x and y of its mast's foot and its height, (3,) each [m]."""
-    if isinstance(mount, Mounting):
-        return np.array([*mount.xy, mount.height_m]), np.array([*mount.xy, mount.height_m])
-    return tuple(np.transpose([mount.span(key) for key in PLACE]))
 
 
 def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m: float) -> Scenery:
@@ -95,129 +87,6 @@ def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m:
             "origin_m and heading_deg"
         )
     return near
-
-
-# --- A pole stands beside the traffic, never in it, and no LiDAR hangs inside a box or a barrier ----------
-
-_ABREAST_M = 20.0  # what passes this near to a mast has been or will be beside it
-_TOUCHING_M = 1e-6  # a mount that touches a vehicle counts as inside
-_MOST_STEPS = 400  # along each side of a searched rectangle: half a lane apart, where it is no larger
-
-
-def check_mount_is_clear(
-    scenario: Scenario, frames: Iterable[Vehicles], mounts: Mapping[str, Mounting] | None = None
-) -> None:
-    """Refuse a mount on the carriageway or inside a vehicle, or a LiDAR inside one of [world]'s boxes or barriers.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The road.
-    frames : iterable of Vehicles
-        The traffic.
-    mounts : mapping of str to Mounting, optional
-        Mounts to check, by the option that gave them; the scene's searched places and baseline if left out.
-
-    Raises
-    ------
-    InputError
-        Naming the place, and the lane's edges, the box, or the vehicle and frame.
-    """
-    if mounts is None:
-        poles_file = scenario.deployment.poles_file
-        mounts = {
-            f"{poles_file}: pole {place.pole.name!r}" if place.pole else scenario.where("deployment", "x_m, y_m"): place
-            for place in scenario.deployment.places
-        }
-        mounts[scenario.where("baseline", "x_m, y_m")] = scenario.baseline
-    road, up = scenario.road_map, np.array(scenario.road_map.up)
-    solids = [*scenario.world.boxes, *map(_box_around, scenario.world.barriers)]
-    frames = list(frames)
-    for where, mount in mounts.items():
-        low, high = _extent(mount)
-        along, across = (f"{a:g}" if a == b else f"{a:g} to {b:g}" for a, b in zip(low[:2], high[:2], strict=True))
-        places = _places(road, low[:2], high[:2])
-        over = next(iter(places[road.within(places)]), None)
-        gantry = over is not None and scenario.deployment.side == "gantry"
-        if over is not None and not gantry:
-            right, left = (np.round(edge, 3) + 0.0 for edge in road.beside(over))
-            raise InputError(
-                f"{where}: the mount at x {along} m, y {across} m stands on the carriageway; allowed: off the lanes, "
-                f"such as x {right[0]:g}, y {right[1]:g} m or x {left[0]:g}, y {left[1]:g} m, or [deployment] side = "
-                '"gantry"'
-            )
-        if gantry and low[2] < scenario.deployment.clearance_m:
-            raise InputError(
-                f"{where}: the LiDAR hangs {low[2]:g} m over the lanes; allowed: {scenario.deployment.clearance_m:g} m "
-                "or more, as [deployment] clearance_m says"
-            )
-        foot_z = road.surface.height(places)
-        foot_z = np.array([foot_z.min(), foot_z.max()])
-        off_feet = np.sort(np.outer((low[2], high[2]), up), axis=0) + np.outer(foot_z, (0.0, 0.0, 1.0))
-        head_low, head_high = low * (1.0, 1.0, 0.0) + off_feet[0], high * (1.0, 1.0, 0.0) + off_feet[1]
-        for solid in solids:
-            middle, half = solid.centre_m[2], 0.5 * solid.size_m[2]
-            place = np.array([solid.centre_m]), np.array([solid.size_m]), np.radians([solid.heading_deg])
-            if (
-                head_low[2] <= middle + half
-                and head_high[2] >= middle - half
-                and footprints_meet(*place, head_low, head_high).any()
-            ):
-                raise InputError(f"{where}: the LiDAR hangs inside {solid.name!r} of [world]; move one of them")
-        for vehicles in frames:
-            place = vehicles.centre_m, vehicles.size_m, vehicles.heading_rad
-            meets = footprints_meet(*place, np.minimum(low, head_low), np.maximum(high, head_high))
-            if gantry:
-                meets &= vehicles.centre_m[:, 2] + 0.5 * vehicles.size_m[:, 2] >= head_low[2]
-            inside = vehicles.vehicle_id[meets]
-            if len(inside):
-                top = (vehicles.centre_m[meets, 2] + 0.5 * vehicles.size_m[meets, 2]).max()
-                advice = f"hang it above {top:.2f} m" if gantry else _driven_over(frames, mount)
-                raise InputError(
-                    f"{where}: the mount at x {along} m, y {across} m stands inside vehicle {inside[0]} of frame "
-                    f"{vehicles.frame}; {advice}"
-                )
-
-
-def _driven_over(frames: Sequence[Vehicles], mount: Place | Mounting) -> str:
-    """Where vehicles pass where a mast may stand, as advice."""
-    low, high = (end[:2] for end in _extent(mount))
-    mast = (mount if isinstance(mount, Mounting) else mount.mounting([end for end, _ in mount.bounds.values()])).mast
-    xy, size, heading = (
-        np.concatenate([getattr(vehicles, key) for vehicles in frames]) for key in ("centre_m", "size_m", "heading_rad")
-    )
-    to_place = xy[:, :2] - np.clip(xy[:, :2], low, high)
-    near, turn = np.hypot(*to_place.T) <= _ABREAST_M + 0.5 * size[:, 0], heading - mast.facing_rad
-    ahead = (xy[:, :2] - 0.5 * (low + high)) @ (math.cos(mast.facing_rad), math.sin(mast.facing_rad))
-    half = 0.5 * (size[:, 0] * np.abs(np.cos(turn)) + size[:, 1] * np.abs(np.sin(turn)))
-    first, last = (ahead - half)[near].min(), (ahead + half)[near].max()
-    return f"vehicles drive there from {first:.1f} to {last:.1f} m in front of the mast: move it beside them"
-
-
-def _places(road: RoadMap, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Places all over the rectangle from `low` to `high`, (2,) each, not farther apart than half a lane, (n, 2) [m]."""
-    steps = np.ceil((high - low) / (0.5 * road.width_m.min())).clip(1, _MOST_STEPS).astype(int) + 1
-    x, y = (np.linspace(a, b, n) for a, b, n in zip(low, high, steps, strict=True))
-    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-
-
-def footprints_meet(
-    centre: np.ndarray, size: np.ndarray, heading: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> np.ndarray:
-    """Which boxes' footprints overlap the axis-parallel rectangle from `low` to `high`, (n,) bool.
-
-    `centre` and `size` are (n, 2) or more [m], `heading` is (n,) [rad]; of `low` and `high` x and y count.
-    """
-    low, high = low[:2], high[:2]
-    rectangle = 0.5 * (low + high), 0.5 * (high - low) + _TOUCHING_M, 0.0
-    return rectangles_overlap(centre[:, :2], 0.5 * size[:, :2], heading, *rectangle)
-
-
-def _box_around(barrier: BarrierSettings) -> BoxSettings:
-    (first, last), height = barrier.x_m, HEIGHT_M
-    centre = (0.5 * (first + last), barrier.y_m, 0.5 * height)
-    size = (last - first, 2 * HALF_WIDTH_M, height)
-    return BoxSettings(name=f"{barrier.kind} at y {barrier.y_m:g} m", centre_m=centre, size_m=size)
 
 
 # --- The site ---------------------------------------------------------------------------------------------------------
@@ -374,7 +243,7 @@ def _out_of_range(scenario: Scenario, given: Sequence[Mounting], searched: Seque
     xy = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in searched])
     half = 0.5 * np.concatenate([frame.vehicles.size_m[frame.counted, 0] for frame in searched])
     away = []
-    for low, high in map(_extent, given or scenario.deployment.places):
+    for low, high in map(extent, given or scenario.deployment.places):
         away.append(np.hypot(*np.maximum(np.maximum(low[:2] - xy, xy - high[:2]), 0.0).T))
     share = (np.min(away, axis=0) - half > gate).mean()
     if share <= _FEW_OUT_OF_RANGE:
