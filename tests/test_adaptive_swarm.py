@@ -34,7 +34,7 @@ def test_the_donors_of_a_jump_are_distinct_and_not_the_particle(particles, archi
 
 
 def test_personal_bests_never_get_worse_and_what_a_jump_learns_stays_in_range():
-    swarm = AdaptiveSwarm(generator(3), 10, 2, flights=0.3, greed=0.2, turned=0.5)
+    swarm = AdaptiveSwarm(generator(3), 10, 2, np.zeros(2, dtype=bool))
     for _ in range(60):
         before = swarm.value.copy()
         values = -np.abs(swarm.candidates - 0.3).sum(axis=1)
@@ -49,7 +49,7 @@ def test_personal_bests_never_get_worse_and_what_a_jump_learns_stays_in_range():
 
 def test_a_swarm_drifts_over_a_plateau_instead_of_freezing():
     """x = best = guide and no velocity is where particle swarms stay for ever on a quantised objective."""
-    swarm = AdaptiveSwarm(generator(0), 10, 2, flights=0.2, greed=0.2, turned=0.3)
+    swarm = AdaptiveSwarm(generator(0), 10, 2, np.zeros(2, dtype=bool))
     for _ in range(100):
         swarm.tell(np.zeros(10))
         swarm.move()
@@ -63,7 +63,7 @@ def test_a_swarm_drifts_over_a_plateau_instead_of_freezing():
 
 def test_the_first_points_of_a_swarm_are_evaluated_before_it_moves():
     """A swarm that replaced another moved before its first points had values, and learnt from nothing."""
-    swarm = AdaptiveSwarm(generator(0), 10, 2, flights=0.2, greed=0.2, turned=0.3)
+    swarm = AdaptiveSwarm(generator(0), 10, 2, np.zeros(2, dtype=bool))
     first = swarm.candidates.copy()
     swarm.move()
     assert np.array_equal(swarm.candidates, first)
@@ -73,7 +73,7 @@ def test_the_first_points_of_a_swarm_are_evaluated_before_it_moves():
 
 
 def test_a_collapsed_swarm_says_so():
-    swarm = AdaptiveSwarm(generator(0), 10, 3, flights=0.2, greed=0.2, turned=0.3)
+    swarm = AdaptiveSwarm(generator(0), 10, 3, np.zeros(3, dtype=bool))
     generations = 0
     while not swarm.exhausted:
         swarm.tell(-np.square(swarm.candidates - 0.6).sum(axis=1))

@@ -16,7 +16,7 @@ NOWHERE = np.array([[-9.0, -9.0]])
 
 
 def message(points, values, sizes):
-    found, first = Basins(points.shape[1]), 0
+    found, first = Basins(np.zeros(points.shape[1], dtype=bool)), 0
     for size in sizes:
         found.add(points[first : first + size], values[first : first + size])
         first += size

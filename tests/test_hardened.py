@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_lidar.optimise import Hardened, HardenedSettings, make_search, maximise, run
+from blender_lidar.optimise import Hardened, make_search, maximise, run
 from blender_lidar.optimise.hardened import Polish
 from blender_lidar.optimise.search import joined_history
 from tests.search_landscapes import (
@@ -22,11 +22,11 @@ from tests.search_landscapes import (
     terraces,
 )
 
-SHORT = HardenedSettings(particles=8, evaluations=400)
+SHORT = {"particles": 8, "evaluations": 400}
 
 
 def searched(objective, seed, lower=LOWER, upper=UPPER, use=SHORT):
-    return run(Hardened(lower, upper, seed=seed, settings=use), objective)
+    return run(Hardened(lower, upper, seed=seed, **use), objective)
 
 
 # --- what must not change the answer ----------------------------------------------------------------------------------
@@ -74,7 +74,7 @@ def test_the_budget_is_spent_to_the_last_and_no_candidate_leaves_the_box(variabl
         assert (x <= upper).all()
         return -np.square((x - target) / (upper - lower)).sum(axis=1)
 
-    result = searched(objective, seed, lower, upper, HardenedSettings(particles=particles, evaluations=budget))
+    result = searched(objective, seed, lower, upper, {"particles": particles, "evaluations": budget})
     assert result.evaluations == len(result.history) == budget
     assert result.value == result.history[:, -2].max()
 
@@ -112,17 +112,6 @@ def test_ill_conditioned_turned_curved_and_stepped_landscapes_are_solved_with_ev
         assert maximise(objective, lower, upper, seed=seed, evaluations=1000 * d).value >= -1e-2
 
 
-def test_without_climbs_swarms_follow_one_another_to_the_end_of_the_budget():
-    search = Hardened(LOWER, UPPER, seed=0, settings=HardenedSettings(evaluations=4000, climbs=False))
-    swarms = set()
-    while not search.done:
-        search.tell(sphere(search.ask()))
-        swarms.add(id(search._swarm))
-    assert (search._climb, search._climbed) == (None, [])
-    assert len(swarms) > 1
-    np.testing.assert_allclose(search.best_x, OPTIMUM, rtol=1e-2)
-
-
 def test_many_local_maxima_are_left_behind_with_every_seed():
     for seed in range(3):
         found = maximise(ackley, LOWER, UPPER, seed=seed)
@@ -131,7 +120,7 @@ def test_many_local_maxima_are_left_behind_with_every_seed():
 
 def swarms_and_ended_climbs(objective, use, lower=LOWER, upper=UPPER, seed=0):
     """All swarms of a search; and for each climb that ended: its width then, what it reached, the best known."""
-    search, swarms, climbs = Hardened(lower, upper, seed=seed, settings=use), [], []
+    search, swarms, climbs = Hardened(lower, upper, seed=seed, **use), [], []
     while not search.done:
         climb = search._climb
         search.tell(objective(search.ask()))
@@ -151,7 +140,7 @@ def ripples(x):
 def test_climbs_after_the_first_go_to_other_tops_and_end_before_they_are_through_with_a_lower_one():
     """Climbs used to start at the best point of the same swarm again, and to climb the same top to the end."""
     for seed in range(3):
-        _, climbs = swarms_and_ended_climbs(ripples, HardenedSettings(), seed=seed)
+        _, climbs = swarms_and_ended_climbs(ripples, {}, seed=seed)
         lower = [(width, reached) for width, reached, best in climbs if reached < best - 1e-3]
         assert min(width for width, _ in lower) > 1e-4
         assert len({round(reached, 3) for _, reached in lower}) >= 3
@@ -174,12 +163,12 @@ def test_a_large_budget_begins_anew_and_finds_a_hill_that_one_swarm_misses():
 @pytest.mark.parametrize("objective", [sphere, lambda x: x[:, 0] - x[:, 1]], ids=["inside", "in a corner"])
 def test_no_round_is_longer_than_a_thousand_evaluations_for_each_variable_and_a_climb(objective):
     """All the rest of a budget went to climbs about the best point; in a corner all of these were one point."""
-    swarms, _ = swarms_and_ended_climbs(objective, HardenedSettings(evaluations=5000))
+    swarms, _ = swarms_and_ended_climbs(objective, {"evaluations": 5000})
     assert len(swarms) >= 2
 
 
 def test_a_swarm_without_a_feasible_point_is_replaced_at_once():
-    search = Hardened(LOWER, UPPER, seed=0, settings=HardenedSettings(evaluations=6000))
+    search = Hardened(LOWER, UPPER, seed=0, evaluations=6000)
     first = search._swarm
     while search._swarm is first:
         search.tell(sphere(search.ask()))

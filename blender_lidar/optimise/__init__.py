@@ -11,7 +11,6 @@ from .baselines import RandomSearch as RandomSearch
 from .de_pso import DePso as DePso
 from .de_pso import DePsoSettings as DePsoSettings
 from .hardened import Hardened as Hardened
-from .hardened import HardenedSettings as HardenedSettings
 from .objective import detectable as detectable
 from .objective import vehicle_score as vehicle_score
 from .search import Search as Search

@@ -23,6 +23,9 @@ from .search import distinct_donors, latin_hypercube, wrapped
 
 CONSTRICTION = 0.7298  # Clerc and Kennedy (2002)
 ATTRACTION = 1.49618  # each of both: 0.7298 * 4.1 / 2
+FLIGHTS = 0.2  # share of the moves, the others are jumps
+GREED = 0.1  # share of the personal bests that count as the swarm's better ones, two of them at least
+TURNED = 0.3  # share of the jumps that are crossed over along eigenvectors
 MEMORY = 5  # entries of the success history
 FIRST_SCALE, FIRST_CROSSOVER = 0.5, 0.7
 DRAW_WIDTH = 0.1  # of scale factors (Cauchy) and crossover rates (normal) about the memory
@@ -40,13 +43,7 @@ class AdaptiveSwarm:
         Shared with the caller.
     particles, variables : int
         4 or more particles; 1 or more variables.
-    flights : float
-        Chance of a flight in place of a jump, 0 to 1.
-    greed : float
-        Share of the personal bests that count as the swarm's better ones; two of them at least.
-    turned : float
-        Chance of a jump that is crossed over along eigenvectors, 0 to 1.
-    periodic : ndarray of bool, (variables,), optional
+    periodic : ndarray of bool, (variables,)
         Which variables are circles: there particles go through the walls, and the short way.
 
     Attributes
@@ -57,21 +54,9 @@ class AdaptiveSwarm:
         Personal bests and their values; ``-inf`` before the first.
     """
 
-    def __init__(
-        self,
-        rng: np.random.Generator,
-        particles: int,
-        variables: int,
-        *,
-        flights: float,
-        greed: float,
-        turned: float,
-        periodic: np.ndarray | None = None,
-    ) -> None:
-        self._rng = rng
-        self._periodic = np.zeros(variables, dtype=bool) if periodic is None else periodic
-        self._flights, self._turned = flights, turned
-        self._greedy = max(2, round(greed * particles))
+    def __init__(self, rng: np.random.Generator, particles: int, variables: int, periodic: np.ndarray) -> None:
+        self._rng, self._periodic = rng, periodic
+        self._greedy = max(2, round(GREED * particles))
         self._position = latin_hypercube(rng, particles, np.zeros(variables), np.ones(variables))
         self._velocity = np.zeros((particles, variables))
         self.best, self.value = self._position.copy(), np.full(particles, -math.inf)
@@ -130,7 +115,7 @@ class AdaptiveSwarm:
         particles, variables = self.best.shape
         guide = self.best[self.order[self._rng.integers(self._greedy, size=particles)]]
         target = self.best + self._jumps(guide)
-        self._flown = self._rng.random(particles) < self._flights
+        self._flown = self._rng.random(particles) < FLIGHTS
         own, social = self._rng.random((2, particles, variables))
         flight = CONSTRICTION * self._velocity
         flight += ATTRACTION * own * self._step(self._position, self.best)
@@ -153,7 +138,7 @@ class AdaptiveSwarm:
         crossed = self._rng.random((particles, variables)) < self._crossover[:, None]
         crossed[i, self._rng.integers(variables, size=particles)] = True
         _, axes = np.linalg.eigh(self.shape())
-        turned = (self._rng.random(particles) < self._turned)[:, None]
+        turned = (self._rng.random(particles) < TURNED)[:, None]
         return np.where(turned, np.where(crossed, step @ axes, 0.0) @ axes.T, np.where(crossed, step, 0.0))
 
     def _jump(self, guide: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarray:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -34,20 +33,19 @@ WATCHED = 1000  # the best points alone are kept; their nearest better ones are 
 
 
 class Basins:
-    """The best points so far, and how far each is from the nearest better one.
+    """Nearest-better clustering: the best points so far, and how far each is from the nearest better one.
 
     Of equal points the earlier counts as better.
 
     Parameters
     ----------
-    variables : int
-    periodic : ndarray of bool, (variables,), optional
-        Which of them are circles.
+    periodic : ndarray of bool, (d,)
+        Which variables are circles.
     """
 
-    def __init__(self, variables: int, periodic: np.ndarray | None = None) -> None:
-        self._periodic = np.zeros(variables, dtype=bool) if periodic is None else periodic
-        self._points = np.empty((0, variables))  # this and the others from the best point to the worst
+    def __init__(self, periodic: np.ndarray) -> None:
+        self._periodic = periodic
+        self._points = np.empty((0, len(periodic)))  # this and the others from the best point to the worst
         self._values = np.empty(0)
         self._nearest = np.empty(0)
 
@@ -97,57 +95,13 @@ class Basins:
 # --- The search, round after round ------------------------------------------------------------------------------------
 
 _FEWEST = 4  # particles of a swarm, samples of a climb
+_OPENING = 0.35  # share of a round that a swarm opens with
 _NARROWEST, _WIDEST = 1e-3, 0.25  # step sizes that a climb may start with, in shares of the box
 _FEWEST_GENERATIONS = 3  # of the opening
 _ROUNDNESS = 0.1  # share of a round shape in that of a climb that starts: no direction is left out
 _ROUND = 1000  # evaluations for each variable
 _HOPELESS = 0.01  # of the box: a generation no wider than that, below the best known, will hardly get there
 _HOPE = 3  # generations that a climb has in any case, and that one point has to find a better
-
-
-@dataclass(frozen=True, slots=True)
-class HardenedSettings:
-    """Settings of the hardened search; the defaults are what docs/evidence/search.md measured.
-
-    Parameters
-    ----------
-    particles : int
-        Of the swarm, 1 or more; fewer where the budget is below ten generations of them, but never fewer than 4.
-    evaluations : int
-        The budget, 1 or more.
-    opening : float
-        Share of a round that a swarm opens with, 0 to 1; three generations at least.
-    flights : float
-        Chance, 0 to 1, per particle and generation of a particle-swarm move in place of a differential jump.
-    greed : float
-        Share of the swarm that counts as its better ones.
-    turned : float
-        Chance of a jump that is crossed over along the eigenvectors of the swarm in place of the variables.
-    climbs : bool
-        False leaves the whole budget to swarms.
-
-    Raises
-    ------
-    InputError
-        If a number of particles or evaluations cannot be used.
-    """
-
-    particles: int = PARTICLES
-    evaluations: int = 2000
-    opening: float = 0.35
-    flights: float = 0.2
-    greed: float = 0.1
-    turned: float = 0.3
-    climbs: bool = True
-
-    def __post_init__(self) -> None:
-        check_whole(self.particles, 1, "particles")
-        check_whole(self.evaluations, 1, "evaluations")
-
-    @property
-    def swarm(self) -> int:
-        """Particles of a swarm within the budget."""
-        return max(_FEWEST, min(self.particles, self.evaluations // 10))
 
 
 class Polish(Search):
@@ -213,14 +167,17 @@ class Hardened(Search):
         Bounds of each variable, in any unit.
     seed : int
         Same seed, same candidates.
-    settings : HardenedSettings
+    particles : int
+        Of a swarm, 1 or more; fewer where the budget is below ten generations of them, but never fewer than 4.
+    evaluations : int
+        The budget, 1 or more.
     periodic : sequence of bool, (d,), optional
         Which variables are circles.
 
     Raises
     ------
     InputError
-        If the bounds or the seed cannot be used.
+        If the bounds, the seed or a number cannot be used.
     """
 
     name: ClassVar[str] = "hardened"
@@ -231,22 +188,20 @@ class Hardened(Search):
         upper: np.ndarray,
         *,
         seed: int,
-        settings: HardenedSettings | None = None,
+        particles: int = PARTICLES,
+        evaluations: int = 2000,
         periodic: Sequence[bool] | None = None,
     ) -> None:
-        self.settings = settings or HardenedSettings()
-        super().__init__(lower, upper, budget=self.settings.evaluations, periodic=periodic)
+        super().__init__(lower, upper, budget=check_whole(evaluations, 1, "evaluations"), periodic=periodic)
+        self._particles = max(_FEWEST, min(check_whole(particles, 1, "particles"), self.budget // 10))
         self._rng = generator(seed)
-        self._begin_anew()
+        self._begin_round()
         self._climb: CovarianceAdaptation | None = None  # whose candidates are asked for, else the swarm's
-        self._basins = Basins(self.lower.size, self.periodic)
+        self._basins = Basins(self.periodic)
         self._climbed: list[np.ndarray] = []  # where climbs began and ended, in shares of the box
 
-    def _begin_anew(self) -> None:
-        use = self.settings
-        size = use.swarm, self.lower.size
-        rates = {"flights": use.flights, "greed": use.greed, "turned": use.turned}
-        self._swarm = AdaptiveSwarm(self._rng, *size, **rates, periodic=self.periodic)
+    def _begin_round(self) -> None:
+        self._swarm = AdaptiveSwarm(self._rng, self._particles, self.lower.size, self.periodic)
         self._began = self.evaluations
         self._followed = False  # whether a climb has started from its best
 
@@ -279,22 +234,20 @@ class Hardened(Search):
 
     def _choose(self) -> None:
         """A climb starts once the swarm has had its share or nothing left to do, as long as the round lasts."""
-        use, swarm, spent = self.settings, self._swarm, self.evaluations - self._began
+        swarm, spent = self._swarm, self.evaluations - self._began
         whole = _ROUND * self.lower.size  # the round, after which no climb starts without another swarm
         if swarm.value.max() == -math.inf:  # nothing feasible: there is nothing to learn from
-            self._begin_anew()
-        elif not use.climbs:
-            if swarm.exhausted:
-                self._begin_anew()
+            self._begin_round()
         elif not self._followed:
-            opening = max(int(use.opening * min(whole, self.budget - self._began)), _FEWEST_GENERATIONS * use.swarm)
+            share = int(_OPENING * min(whole, self.budget - self._began))
+            opening = max(share, _FEWEST_GENERATIONS * self._particles)
             if spent >= opening or swarm.exhausted:
                 self._followed = True
                 self._start_climb(swarm.best[swarm.order[0]], *self._width_and_shape())
         else:
             found = self._basins.unclimbed(np.array(self._climbed)) if spent < whole else None
             if found is None:
-                self._begin_anew()
+                self._begin_round()
             else:
                 start, distance = found
                 self._start_climb(start, max(distance / 2.0, _NARROWEST))

@@ -12,7 +12,7 @@ from ..names import ITERATIONS, PARTICLES, SEARCHES
 from ..plugins import IN_A_FILE, called, faults_in_one_line, is_plugin, load_plugin
 from .baselines import GridSearch, RandomSearch, grid_points
 from .de_pso import DePso, DePsoSettings
-from .hardened import Hardened, HardenedSettings
+from .hardened import Hardened
 from .search import Search, check_bounds, check_whole
 
 Objective = Callable[[np.ndarray], np.ndarray]
@@ -156,7 +156,7 @@ def make_search(
     periodic : sequence of bool, (d,), optional
         Which variables are circles, their bounds one and the same place. A plug-in does not know: to it they are ends.
     **settings
-        The method's own: fields of `HardenedSettings` or `DePsoSettings` but for the budget; grid and random have none.
+        The method's own: `particles` of the hardened search, fields of `DePsoSettings` but for the budget.
 
     Raises
     ------
@@ -171,8 +171,7 @@ def make_search(
     if name == RandomSearch.name:
         return RandomSearch(lower, upper, seed=seed, evaluations=evaluations, **settings)
     if name == Hardened.name:
-        own = HardenedSettings(evaluations=evaluations, **settings)
-        return Hardened(lower, upper, seed=seed, settings=own, periodic=periodic)
+        return Hardened(lower, upper, seed=seed, evaluations=evaluations, periodic=periodic, **settings)
     use = DePsoSettings(**settings)
     evaluations = check_whole(evaluations, use.particles, f"evaluations with {use.particles} particles")
     use = replace(use, iterations=evaluations // use.particles)
