@@ -1,8 +1,9 @@
-"""What test files share: stored runs, no deadline of examples, and how many processes `-n auto` of pytest starts."""
+"""What test files share: stored runs, signals, no deadline of examples, and how many processes `-n auto` starts."""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
 
 import pytest
@@ -12,6 +13,12 @@ settings.register_profile("untimed", deadline=None)  # how fast a shared machine
 settings.load_profile("untimed")
 
 _MOST = 4  # each may hold a Blender, and its tests start processes of their own
+
+# A signal that is ignored stays ignored in the processes that tests start, and a suite in the background, or under
+# nohup, is started so. With a handler that does nothing it goes on ignoring them, and its processes do not.
+for _name in ("SIGINT", "SIGTERM", "SIGHUP"):
+    if hasattr(signal, _name) and signal.getsignal(getattr(signal, _name)) is signal.SIG_IGN:
+        signal.signal(getattr(signal, _name), lambda number, frame: None)
 
 
 @pytest.hookimpl(optionalhook=True)  # of pytest-xdist
