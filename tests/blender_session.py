@@ -29,7 +29,7 @@ def moment(vehicles=TRAFFIC, detail="body", pose=POSE, cloud=True, scenery=SCENE
     points = None
     if cloud:
         seen = scan(vehicles, LATTICE, pose, caster="bvh", detail=detail, max_range_m=REACH_M)
-        points = vertices_of(seen, np.random.default_rng(1).random(len(seen)))
+        points = vertices_of(seen, vehicles, np.random.default_rng(1).random(len(vehicles)))
     return Moment(ROAD, vehicles, detail, LATTICE, pose, REACH_M, points, scenery, None, detections or {})
 
 

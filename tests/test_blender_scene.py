@@ -147,9 +147,9 @@ def test_vehicles_take_the_colour_of_their_entropy_and_their_paint_again(scene):
     colour_vehicles(shown, np.linspace(0.0, 1.2, len(shown)))
     np.testing.assert_allclose(shown[0].color, (0.85, 0.05, 0.02, 1.0), atol=1e-6)
     np.testing.assert_allclose(shown[-1].color, (0.55, 0.95, 0.25, 1.0), atol=1e-6)
-    assert all(item["blender_lidar_coloured"] == 1.0 for item in shown)
     colour_vehicles(shown, None)
-    assert {(tuple(item.color), "blender_lidar_coloured" in item) for item in shown} == {((1.0, 1.0, 1.0, 1.0), False)}
+    assert all(tuple(item.color) == tuple(item.active_material.diffuse_color) for item in shown)
+    assert len({tuple(item.color) for item in shown}) == len(set(TRAFFIC.class_name.tolist()))
 
 
 def test_what_is_only_drawn_is_not_met(scene):

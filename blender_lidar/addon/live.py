@@ -13,11 +13,11 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..clouds.live import LiveFrame, Look
-from ..clouds.snapshot import entropy_of_points, entropy_of_vehicles, vertices_of
+from ..clouds.snapshot import entropy_of_vehicles, vertices_of
 from ..errors import BlenderLidarError
 from ..scene.scenario import Scenario
 from ..traffic.vehicles import Vehicles
-from ..world.blender.objects import SHAPE, VEHICLE, VEHICLE_ID, lidars, role
+from ..world.blender.objects import SHAPE, VEHICLE, VEHICLE_ID, lidars, role, wear_own_paint
 from ..world.blender.points import cloud_of, colour_cloud, colours_by, show_cloud
 from ..world.blender.preview import VisibleObjects
 from ..world.blender.site import is_own
@@ -111,8 +111,7 @@ def _update_one(scene, lidar, shown, objects) -> bool:
         shown.baseline = frame.look(shown.scenario.baseline.pose, [objects])
     shown.look = look = frame.look(mounting.pose, [objects])
     shown.bits = entropy_of_vehicles(look.cloud, vehicles, shown.scenario.objective)
-    of_points = entropy_of_points(look.cloud, vehicles, shown.bits)
-    shown.colours = colours_by(group.colour_by, vertices_of(look.cloud, of_points))
+    shown.colours = colours_by(group.colour_by, vertices_of(look.cloud, vehicles, shown.bits))
     shown.batch = None
     session.store(lidar, vehicles, look, shown.baseline)
     if lidar == session.active_lidar(scene):
@@ -135,7 +134,7 @@ def _begin(scene, layer, lidar) -> _Shown:
         cloud.hide_set(True, view_layer=layer)
     for item in scene.objects:  # what else is ours keeps its look
         if role(item) not in (None, VEHICLE) and item.active_material is not None:
-            item.color = item.active_material.diffuse_color
+            wear_own_paint(item)
     _colour_solid("MATERIAL", "OBJECT")
     return _Shown(session.uid_of(scene))
 
@@ -148,8 +147,8 @@ def _end(key: str, shown: _Shown) -> None:
                 continue
             if shown.look is not None and shown.frame is not None:  # not where undo has ended it
                 vehicles = shown.frame.frame.vehicles
-                points = vertices_of(shown.look.cloud, entropy_of_points(shown.look.cloud, vehicles, shown.bits))
-                colour_cloud(show_cloud(lidar, points), lidar.lidar.colour_by)
+                points = vertices_of(shown.look.cloud, vehicles, shown.bits)
+                show_cloud(lidar, points, lidar.lidar.colour_by)
             cloud = cloud_of(lidar)
             if cloud is not None and cloud.name in layer.objects:
                 cloud.hide_set(False, view_layer=layer)

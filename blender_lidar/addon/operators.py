@@ -11,7 +11,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ..casting import resolve
 from ..clouds.files import SUSTECHPOINTS_PARTS, write_cloud, write_sustechpoints
-from ..clouds.snapshot import MountedSensor, entropy_of_points, entropy_of_vehicles, vertices_of
+from ..clouds.snapshot import MountedSensor, entropy_of_vehicles, vertices_of
 from ..errors import BlenderLidarError, InputError
 from ..files import check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
@@ -39,7 +39,7 @@ from ..world.blender.objects import (
     remove_orphans,
     role,
 )
-from ..world.blender.points import colour_cloud, show_cloud
+from ..world.blender.points import show_cloud
 from ..world.blender.site import open_scenery
 from ..world.blender.traffic import show_vehicles
 from ..world.scenery import Scenery
@@ -309,8 +309,7 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
         objects = session.exact_objects(scene, context.view_layer, scenario)
         look = ready.look(mounting.pose, objects)
         bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
-        points = vertices_of(look.cloud, entropy_of_points(look.cloud, vehicles, bits))
-        colour_cloud(show_cloud(lidar, points), lidar.lidar.colour_by)
+        show_cloud(lidar, vertices_of(look.cloud, vehicles, bits), lidar.lidar.colour_by)
         session.store(lidar, vehicles, look, ready.look(scenario.baseline.pose, objects))
         group = lidar.lidar
         told_of = "" if look.scored is None else f", objective {group.objective:.2f}"

@@ -96,8 +96,7 @@ class MountedSensor:
         points = None
         if with_cloud:
             cloud = self.scan(vehicles)
-            bits = entropy_of_vehicles(cloud, vehicles, self.scenario.objective)
-            points = vertices_of(cloud, entropy_of_points(cloud, vehicles, bits))
+            points = vertices_of(cloud, vehicles, entropy_of_vehicles(cloud, vehicles, self.scenario.objective))
         return moment_class(
             road=self.scenario.road_map,
             vehicles=vehicles,
@@ -120,20 +119,23 @@ def mounted_sensor(scenario: Scenario, mounting: Mounting) -> MountedSensor:
     )
 
 
-def vertices_of(cloud: PointCloud, entropy_bits: np.ndarray, lidar: int = 0) -> dict[str, np.ndarray]:
-    """A cloud, and PE-VGOP (n,) of the vehicle at each point, as `world.blender.points.build_cloud` takes them.
+def vertices_of(cloud: PointCloud, vehicles: Vehicles, entropy_bits: np.ndarray) -> dict[str, np.ndarray]:
+    """A cloud, and PE-VGOP (v,) of the frame's vehicles, as `world.blender.points.build_cloud` takes them.
 
-    `lidar` is the number of the one that has measured it.
+    Points that lie on no vehicle have 0 bits; `lidar` is the number of the LiDAR that has measured them.
     """
+    bits = np.zeros(len(cloud))
+    mine, row = _on_vehicles(cloud, vehicles)
+    bits[mine] = entropy_bits[row]
     return {
         "xyz": cloud.xyz,
         "range": cloud.range_m,
         "ring": cloud.ring,
         "intensity": cloud.intensity,
         "vehicle": cloud.vehicle_id,
-        "entropy": entropy_bits,
+        "entropy": bits,
         "time": cloud.time_s,
-        "lidar": np.full(len(cloud), lidar),
+        "lidar": np.zeros(len(cloud), dtype=int),
     }
 
 
@@ -142,14 +144,6 @@ def entropy_of_vehicles(cloud: PointCloud, vehicles: Vehicles, objective: Object
     mine, row = _on_vehicles(cloud, vehicles)
     points = to_vehicle_frame(cloud.xyz[mine], vehicles.centre_m, vehicles.heading_rad, row)
     return pe_vgop(points, row, vehicles.size_m, objective.cell_m, reading=objective.reading)
-
-
-def entropy_of_points(cloud: PointCloud, vehicles: Vehicles, of_vehicles: np.ndarray) -> np.ndarray:
-    """Entropy (n,) of the vehicle that each point lies on, given that of the frame's (v,); 0 for points on none."""
-    bits = np.zeros(len(cloud))
-    mine, row = _on_vehicles(cloud, vehicles)
-    bits[mine] = of_vehicles[row]
-    return bits
 
 
 def _on_vehicles(cloud, vehicles):

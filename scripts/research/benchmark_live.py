@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 
 from blender_lidar.clouds.live import LiveFrame
-from blender_lidar.clouds.snapshot import entropy_of_points, entropy_of_vehicles, vertices_of
+from blender_lidar.clouds.snapshot import entropy_of_vehicles, vertices_of
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recording
 from blender_lidar.world.blender.objects import new_mesh
@@ -67,7 +67,7 @@ def drag(path, sensor, caster, height, tilt, with_objects):
         objects.refresh(scene, scene.view_layers[0].depsgraph)
         look = live.look(pose, [objects])
         bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
-        points = vertices_of(look.cloud, entropy_of_points(look.cloud, vehicles, bits))
+        points = vertices_of(look.cloud, vehicles, bits)
         colours_by("range", points)
         if cloud is None:
             cloud = build_cloud(scene, points)

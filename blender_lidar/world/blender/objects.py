@@ -176,27 +176,21 @@ def plain(name: str, colour: tuple[float, float, float], surface: int = STRUCTUR
     return made_once(bpy.data.materials, name, make)
 
 
-COLOURED = "blender_lidar_coloured"  # custom property of objects: 1 where their own colour is shown on their paint
-
-
 def paint_of(vehicle_class: str) -> bpy.types.Material:
-    """The paint of a class of vehicles; that of a vehicle that is `COLOURED` takes on the object's colour."""
+    """The paint of a class of vehicles, which takes on the colour of each object, at first that of the class."""
     material = plain(f"Paint {vehicle_class}", CLASS_COLOURS[vehicle_class], PAINT, 0.35)
     tree = material.node_tree
     if "Object Info" not in tree.nodes:
-        kinds = ("ShaderNodeObjectInfo", "ShaderNodeAttribute", "ShaderNodeMix")
-        own, coloured, mix = (tree.nodes.new(kind) for kind in kinds)
-        own.name, own.location, coloured.location, mix.location = "Object Info", (-500, 0), (-500, 250), (-250, 200)
-        coloured.attribute_type, coloured.attribute_name = "OBJECT", COLOURED
-        mix.data_type = "RGBA"
-        share, *_, first, second = (socket for socket in mix.inputs if socket.enabled)
-        first.default_value = (*CLASS_COLOURS[vehicle_class], 1.0)
+        own = tree.nodes.new("ShaderNodeObjectInfo")
+        own.name, own.location = "Object Info", (-250, 200)
         shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
-        tree.links.new(coloured.outputs["Fac"], share)
-        tree.links.new(own.outputs["Color"], second)
-        mixed = next(socket for socket in mix.outputs if socket.enabled)
-        tree.links.new(mixed, shader.inputs["Base Color"])
+        tree.links.new(own.outputs["Color"], shader.inputs["Base Color"])
     return material
+
+
+def wear_own_paint(item: bpy.types.Object) -> None:
+    """Let the colour of an object be that of its first material."""
+    item.color = item.active_material.diffuse_color
 
 
 def glass() -> bpy.types.Material:

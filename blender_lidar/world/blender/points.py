@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import bpy
 import numpy as np
 
 from .objects import (
     CLOUD,
-    COLOURED,
     add_attribute,
     add_object,
     clear,
@@ -22,36 +21,42 @@ from .objects import (
     role,
 )
 
-_NAME, _LOOK = "Point cloud", "LiDAR points"
+_NAME, _LOOK, _COLOUR = "Point cloud", "LiDAR points", "colour"
 _RADIUS_M = 0.045
-# Linear RGB by value, for what is coloured by a number: of nothing seen, of half and of a whole bit of PE-VGOP.
-_BITS, _BY_ENTROPY = (0.0, 1.0), ((0.85, 0.05, 0.02), (0.95, 0.55, 0.02), (0.55, 0.95, 0.25))
-
-
-def colours_of(entropy_bits: np.ndarray) -> np.ndarray:
-    """Linear RGB (n, 3) of PE-VGOP (n,) [bits]."""
-    places = np.linspace(*_BITS, len(_BY_ENTROPY))
-    return np.stack([np.interp(entropy_bits, places, channel) for channel in zip(*_BY_ENTROPY, strict=True)], axis=1)
-
-
+# Linear RGB of what is coloured by a number, evenly over its range.
+_BY_ENTROPY = ((0.85, 0.05, 0.02), (0.95, 0.55, 0.02), (0.55, 0.95, 0.25))  # of 0, 0.5 and 1 bit of PE-VGOP
+_FADING, _FADED_M = ((0.16, 0.20, 0.26), (0.08, 0.10, 0.14)), 100.0  # of points on no vehicle, by their range
 # Viridis at 0, 0.25, 0.5, 0.75 and 1, linear: lighter is more, for those too who see no colours.
 _VIRIDIS = ((0.06, 0.0, 0.09), (0.04, 0.08, 0.26), (0.01, 0.28, 0.26), (0.11, 0.58, 0.12), (0.98, 0.8, 0.02))
 _GOLDEN = 0.618034  # of a turn from hue to hue: neighbours in the list differ much
 
 
+def _ramp(values: np.ndarray, colours: Sequence[tuple[float, float, float]]) -> np.ndarray:
+    """Linear RGB (n, 3) of values (n,) from 0 to 1, between `colours` that are evenly apart."""
+    places = np.linspace(0.0, 1.0, len(colours))
+    return np.stack([np.interp(values, places, channel) for channel in zip(*colours, strict=True)], axis=1)
+
+
+def colours_of(entropy_bits: np.ndarray) -> np.ndarray:
+    """Linear RGB (n, 3) of PE-VGOP (n,) [bits]."""
+    return _ramp(entropy_bits, _BY_ENTROPY)
+
+
 def colours_by(name: str, points: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Linear RGBA (n, 4), float32, of points by one of their attributes: `entropy`, `vehicle`, `range` and the like."""
+    """Linear RGBA (n, 4), float32, of points by one of their attributes: `entropy`, `vehicle`, `range` and the like.
+
+    By `entropy` those on no vehicle are faint, the more the farther away they are.
+    """
     values, colours = points[name], np.ones((len(points[name]), 4), np.float32)
     if name == "entropy":
-        colours[:, :3] = np.where(points["vehicle"][:, None] >= 0, colours_of(values), (0.16, 0.2, 0.26))
+        elsewhere = _ramp(points["range"] / _FADED_M, _FADING)
+        colours[:, :3] = np.where(points["vehicle"][:, None] >= 0, colours_of(values), elsewhere)
     elif name == "vehicle":
         hue = (_GOLDEN * np.unique(values, return_inverse=True)[1].reshape(-1, 1) + np.array([0.0, 1 / 3, 2 / 3])) % 1.0
         colours[:, :3] = np.where(values[:, None] >= 0, np.clip(np.abs(6.0 * hue - 3.0) - 1.0, 0.05, 0.9), 0.2)
     else:
         most = 1.0 if name == "intensity" else float(values.max(initial=0.0)) or 1.0
-        places = np.linspace(0.0, 1.0, len(_VIRIDIS))
-        for channel, of in enumerate(zip(*_VIRIDIS, strict=True)):
-            colours[:, channel] = np.interp(values / most, places, of)
+        colours[:, :3] = _ramp(values / most, _VIRIDIS)
     return colours
 
 
@@ -63,8 +68,8 @@ def build_cloud(
     Parameters
     ----------
     points : mapping of str to ndarray, or None
-        Places `xyz` (n, 3) [m], and attributes of the vertices, (n,) each, by their names. Two colour them: `vehicle`,
-        the id of the one that a point lies on, -1 for none, and `entropy`, its PE-VGOP [bits]; all others `range` [m].
+        Places `xyz` (n, 3) [m], and attributes of the vertices, (n,) each, by their names: `vehicle`, the id of the one
+        that a point lies on, -1 for none, `entropy`, its PE-VGOP [bits], `range` [m] and others.
     lidar : Object, optional
         What it belongs to and follows.
     """
@@ -73,28 +78,30 @@ def build_cloud(
     return None if points is None else _new_cloud(into, points, lidar)
 
 
-def show_cloud(lidar: bpy.types.Object, points: Mapping[str, np.ndarray]) -> bpy.types.Object:
+def show_cloud(lidar: bpy.types.Object, points: Mapping[str, np.ndarray], colour_by: str) -> None:
     """The cloud of a LiDAR, its child: as `build_cloud`, written in place where there is one."""
     item = cloud_of(lidar)
     if item is None:
-        return _new_cloud(lidar.users_collection[0], points, lidar)
-    if item.data.users > 1:  # of a LiDAR that was duplicated with its cloud linked
+        item = _new_cloud(lidar.users_collection[0], points, lidar)
+    elif item.data.users > 1:  # of a LiDAR that was duplicated with its cloud linked
         item.data = item.data.copy()
-    write_cloud(item.data, points)
+    write_cloud(item.data, points, colour_by)
     _fasten(item, lidar)
-    return item
 
 
 def colour_cloud(cloud: bpy.types.Object, name: str) -> None:
-    """Colour a cloud by one of its attributes, as `colours_by` does, no more as `build_cloud` does."""
+    """Colour a cloud by another one of its attributes, as `colours_by` does."""
     mesh, points = cloud.data, {}
-    for key in {name, "vehicle"}:
+    for key in {name, "vehicle", "range"}:
         points[key] = np.empty(len(mesh.vertices))
         mesh.attributes[key].data.foreach_get("value", points[key])
-    colour = mesh.attributes.get("colour") or mesh.attributes.new("colour", "FLOAT_COLOR", "POINT")
-    colour.data.foreach_set("color", colours_by(name, points).ravel())
+    _colour(mesh, points, name)
     mesh.update()
-    cloud[COLOURED] = 1.0
+
+
+def _colour(mesh, points, name):
+    attribute = mesh.attributes.get(_COLOUR) or mesh.attributes.new(_COLOUR, "FLOAT_COLOR", "POINT")
+    attribute.data.foreach_set("color", colours_by(name, points).ravel())
 
 
 def cloud_of(lidar: bpy.types.Object) -> bpy.types.Object | None:
@@ -114,8 +121,8 @@ def _new_cloud(into, points, lidar):
     return item
 
 
-def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray]) -> None:
-    """Let the mesh of a cloud hold other points, as for `build_cloud`, in place."""
+def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray], colour_by: str = "entropy") -> None:
+    """Let the mesh of a cloud hold other points, as for `build_cloud`, in place, coloured as `colours_by` does."""
     if len(mesh.vertices) != len(points["xyz"]):
         mesh.clear_geometry()  # materials stay
         mesh.vertices.add(len(points["xyz"]))
@@ -123,6 +130,7 @@ def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray]) -> None:
     for name, values in points.items():
         if name != "xyz":
             add_attribute(mesh, name, _numbers(values) if name == "vehicle" else values)
+    _colour(mesh, points, colour_by)
     mesh.update()
 
 
@@ -158,66 +166,20 @@ def _link(tree, *links):
 
 
 def _material() -> bpy.types.Material:
-    """Colours points on vehicles by their vehicle's `entropy`, and all others faintly by `range`, or all as chosen.
+    """Points of the attribute `colour`, which shine by themselves, so that it is seen as it is under any light."""
 
-    The points shine by themselves, so that their colours are those of the ramps under any light.
-    """
-    return made_once(bpy.data.materials, _LOOK, _shining)
+    def make():
+        material = bpy.data.materials.new(_LOOK)
+        material.diffuse_color = (0.9, 0.6, 0.1, 1.0)
+        tree = nodes_of(material)
+        tree.nodes.clear()
+        kinds = ("ShaderNodeAttribute", "ShaderNodeEmission", "ShaderNodeOutputMaterial")
+        colour, shine, output = _add_nodes(tree, 0, *kinds)
+        colour.attribute_name = _COLOUR
+        _link(tree, (colour.outputs["Color"], shine.inputs["Color"]), (shine.outputs[0], output.inputs["Surface"]))
+        return material
 
-
-def _shining():
-    material = bpy.data.materials.new(_LOOK)
-    material.diffuse_color = (0.9, 0.6, 0.1, 1.0)
-    tree = nodes_of(material)
-    tree.nodes.clear()
-    elsewhere = _ramp(tree, 1, "range", (0.0, 100.0), ((0.16, 0.20, 0.26), (0.08, 0.10, 0.14)))
-    on_vehicle = _ramp(tree, 2, "entropy", _BITS, _BY_ENTROPY)
-    vehicle, is_vehicle, mix, chosen, output = _add_nodes(
-        tree,
-        0,
-        "ShaderNodeAttribute",
-        "ShaderNodeMath",
-        "ShaderNodeMixShader",
-        "ShaderNodeMixShader",
-        "ShaderNodeOutputMaterial",
-    )
-    coloured, colour, shine = _add_nodes(tree, 3, "ShaderNodeAttribute", "ShaderNodeAttribute", "ShaderNodeEmission")
-    coloured.attribute_type, coloured.attribute_name, colour.attribute_name = "OBJECT", COLOURED, "colour"
-    vehicle.attribute_name = "vehicle"
-    is_vehicle.operation, is_vehicle.inputs[1].default_value = "GREATER_THAN", -0.5
-    _link(
-        tree,
-        (vehicle.outputs["Fac"], is_vehicle.inputs[0]),
-        (is_vehicle.outputs[0], mix.inputs[0]),
-        (elsewhere, mix.inputs[1]),
-        (on_vehicle, mix.inputs[2]),
-        (colour.outputs["Color"], shine.inputs["Color"]),
-        (coloured.outputs["Fac"], chosen.inputs[0]),
-        (mix.outputs[0], chosen.inputs[1]),
-        (shine.outputs[0], chosen.inputs[2]),
-        (chosen.outputs[0], output.inputs["Surface"]),
-    )
-    return material
-
-
-def _ramp(tree, row, attribute, bounds, colours):
-    """A shining colour that runs through `colours` as an attribute goes from one bound to the other."""
-    value, scaled, ramp, shine = _add_nodes(
-        tree, row, "ShaderNodeAttribute", "ShaderNodeMapRange", "ShaderNodeValToRGB", "ShaderNodeEmission"
-    )
-    value.attribute_name = attribute
-    scaled.inputs["From Min"].default_value, scaled.inputs["From Max"].default_value = bounds
-    elements = ramp.color_ramp.elements
-    elements[0].color, elements[-1].color = (*colours[0], 1.0), (*colours[-1], 1.0)
-    for place, colour in enumerate(colours[1:-1], start=1):
-        elements.new(place / (len(colours) - 1)).color = (*colour, 1.0)
-    _link(
-        tree,
-        (value.outputs["Fac"], scaled.inputs["Value"]),
-        (scaled.outputs[0], ramp.inputs["Fac"]),
-        (ramp.outputs["Color"], shine.inputs["Color"]),
-    )
-    return shine.outputs[0]
+    return made_once(bpy.data.materials, _LOOK, make)
 
 
 def _points() -> bpy.types.NodeTree:

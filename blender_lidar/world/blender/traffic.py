@@ -12,7 +12,18 @@ from ...traffic.vehicles import Vehicles
 from ..meshes import GLASS
 from ..shapes import shape
 from ..triangles import shape_names
-from .objects import COLOURED, SHAPE, VEHICLE, VEHICLE_ID, add_object, collection, glass, made_once, new_mesh, paint_of
+from .objects import (
+    SHAPE,
+    VEHICLE,
+    VEHICLE_ID,
+    add_object,
+    collection,
+    glass,
+    made_once,
+    new_mesh,
+    paint_of,
+    wear_own_paint,
+)
 from .points import colours_of
 
 
@@ -46,13 +57,10 @@ def colour_vehicles(items: Iterable[bpy.types.Object], entropy_bits: np.ndarray 
     """
     if entropy_bits is None:
         for item in items:
-            item.color = (1.0, 1.0, 1.0, 1.0)
-            item.pop(COLOURED, None)
+            wear_own_paint(item)
         return
     for item, colour in zip(items, colours_of(entropy_bits).tolist(), strict=True):
         item.color = (*colour, 1.0)
-        if COLOURED not in item:
-            item[COLOURED] = 1.0
 
 
 def animate(
@@ -151,4 +159,5 @@ def _new_vehicle(into, vehicle_id, name, detail):
 
     item = add_object(into, f"{name} {vehicle_id}", made_once(bpy.data.meshes, title, make))
     item[VEHICLE_ID], item[SHAPE] = vehicle_id, title  # as texts: numbers would have to fit into 32 bits
+    wear_own_paint(item)
     return item
