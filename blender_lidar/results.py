@@ -152,7 +152,8 @@ class Plots:
 
     def blind_zones(self) -> Picture:
         """Where on the road vehicles are not detectable, before and after."""
-        return self._drawn("plot_blind_zones", road=self.run.site.scenario.road)
+        scenario = self.run.site.scenario
+        return self._drawn("plot_blind_zones", road=scenario.road_map, zones=scenario.objective.zones)
 
     def _drawn(self, name: str, **settings) -> Picture:
         from .report import run_figures

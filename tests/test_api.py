@@ -254,6 +254,7 @@ def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
     pytest.importorskip("matplotlib")
     judged = bl.judge_mounting(site, height_m=3.0)
     assert judged.plot.by_distance().startswith(b"\x89PNG")
+    assert judged.plot.blind_zones().startswith(b"\x89PNG")
     assert judged.history is None
     assert judged.score_map is None
     with pytest.raises(InputError, match="score_map: the run has none"):

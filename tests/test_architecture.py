@@ -157,6 +157,19 @@ def test_a_room_imports_only_rooms_that_it_may(path):
     assert taken <= ROOMS[here], f"{named(path)} imports {sorted(taken - ROOMS[here])}"
 
 
+STRAIGHT_ROAD = {"carriageways_y", "lane_width_m", "right_edge_m", "setback_m"}
+PROPOSES_A_STRAIGHT_ROAD = ("traffic/layout.py", "report/site_plan.py", "commands/init.py")
+
+
+def test_only_the_room_of_the_road_and_its_proposal_know_how_a_straight_road_lies():
+    """All others ask the `RoadMap`, which other roads have too."""
+    for path in SOURCES:
+        if not named(path).startswith(("road/", *PROPOSES_A_STRAIGHT_ROAD)):
+            nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            used = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+            assert not used & STRAIGHT_ROAD, f"{named(path)} uses {sorted(used & STRAIGHT_ROAD)}"
+
+
 def test_every_room_is_known():
     assert {room(path) for path in SOURCES} <= {*ROOMS, *DOOR}
 

@@ -19,7 +19,7 @@ AT_ZERO = [((0.0, 0.0), (0.0, 0.0))]
 
 
 def made(strength=1.0, seed=1, centre_x=0.0, reach_m=100.0, keep_clear=AT_ZERO):
-    return clutter(ROAD, strength, seed, centre_x, reach_m, keep_clear)
+    return clutter(ROAD, strength, seed, (centre_x - reach_m, centre_x + reach_m), keep_clear)
 
 
 def test_the_same_seed_gives_the_same_and_another_one_another():

@@ -99,7 +99,7 @@ def test_headings_turn_with_the_mirror():
     n = np.zeros(2)
     vehicles = Vehicles(1, 0.0, n.astype(int), n.astype(int), np.array([[5.0, 1, 1], [6, 2, 1]]), np.ones((2, 3)), n, n)
     vehicles = replace(vehicles, heading_rad=np.radians([10.0, -170.0]))
-    turned = dataset._moved(vehicles, 2.0, True)
+    turned = dataset._moved(vehicles, 2.0, True, np.array([1.0, 0.0]))
     np.testing.assert_allclose(np.degrees(turned.heading_rad), [170.0, -10.0])
     np.testing.assert_allclose(turned.centre_m[:, 0], [-3.0, -4.0])
 

@@ -377,6 +377,13 @@ def test_distances_and_lanes_sort_every_vehicle_into_one_group():
         assert ((table["distance_m"][mine] >= low) & (table["distance_m"][mine] < high)).all()
 
 
+def test_a_lane_number_of_both_directions_is_two_lanes():
+    heading = np.array([0.0, -3.0, 179.0, -178.0, 2.0, 1.0])
+    table = {"lane": np.array([1, 1, 1, 1, 2, 0]), "heading_deg": heading}
+    names = {name: np.flatnonzero(rows).tolist() for name, rows in lanes(table)}
+    assert names == {"no lane": [5], "lane 1, towards +x": [0, 1], "lane 1, towards -x": [2, 3], "lane 2": [4]}
+
+
 def verdict(holdout, block):
     blocks = {"search_block": np.arange(len(FRAMES)), "holdout_block": np.array(block, dtype=np.int64)}
     zeros = {name.replace("block", "recording"): np.zeros_like(of) for name, of in blocks.items()}

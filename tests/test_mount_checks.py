@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.scene.mount_checks import in_radians, mount_notes
+from blender_lidar.scene.mount_checks import mount_notes
+from blender_lidar.scene.places import in_radians
 from blender_lidar.scene.scenario import load_scenario, shipped_scenes
 from tests.small_scene import REGION, write_scene
 

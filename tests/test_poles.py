@@ -16,7 +16,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.run.verdict import rank_places
 from blender_lidar.scene.deployment import Place, Pole, SearchSpace
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
-from blender_lidar.scene.poles import read_poles
+from blender_lidar.scene.places import read_poles
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator

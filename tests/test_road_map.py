@@ -12,7 +12,10 @@ from hypothesis import strategies as st
 
 from blender_lidar.road.road_map import RoadMap
 from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.scene.mount_checks import boxes_around, footprints_meet
 from blender_lidar.scene.region import polygon_holds
+from blender_lidar.scene.settings import BarrierSettings
+from blender_lidar.world.scenery import along_road, barrier
 
 STRAIGHT = StraightRoad(setback_m=2.0, lanes=3, lane_width_m=3.5)
 FLAT = STRAIGHT.surface
@@ -115,6 +118,34 @@ def test_a_crown_rises_to_the_middle_and_its_triangles_lie_on_it():
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (normal[:, 2] > 0.0).all()
     assert len(FLAT.triangles((-5.0, 5.0))) == 0
+
+
+def test_only_a_straight_road_without_ends_has_an_axis():
+    np.testing.assert_array_equal(road_map(STRAIGHT).axis, [1.0, 0.0])
+    assert arc().axis is None
+
+
+def test_stations_of_a_stretch_are_its_ends_and_the_corners_between():
+    assert road_map(STRAIGHT).stations((-20.0, 30.0)).tolist() == [-20.0, 30.0]
+    assert road_map(STRAIGHT).stretch((7.0, 5.0), 10.0) == (-3.0, 17.0)
+    corners = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 20.0]])
+    bend = RoadMap((corners,), np.array([5.0]), np.zeros(1), np.full(1, 3.5), np.array([False]), FLAT)
+    assert bend.stations().tolist() == [5.0, 15.0, 35.0]
+    assert bend.stations((0.0, 20.0)).tolist() == [5.0, 15.0, 20.0]
+    assert bend.stations((40.0, 50.0)).tolist() == []
+
+
+def test_a_barrier_on_a_bend_follows_it_and_a_lidar_in_it_is_refused():
+    road = arc()
+    made = along_road(road, barrier("concrete", 5.4, road.stations((5.0, 50.0))))
+    away = np.hypot(made.corners[..., 0], made.corners[..., 1] - 60.0)
+    assert np.abs(away - (60.0 - 5.4)).max() < 0.32
+    boxes = list(boxes_around(BarrierSettings(kind="concrete", y_m=5.4, x_m=(5.0, 50.0)), road))
+    keys = ("centre_m", "size_m", "heading_deg")
+    centre, size, heading = (np.array([getattr(box, key) for box in boxes]) for key in keys)
+    for radius, refused in ((54.6, True), (53.0, False)):
+        place = np.array([radius * math.sin(0.4), 60.0 - radius * math.cos(0.4)])
+        assert footprints_meet(centre, size, np.radians(heading), place, place).any() == refused
 
 
 def test_a_map_survives_pickling():

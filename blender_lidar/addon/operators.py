@@ -90,8 +90,7 @@ def show_traffic(scene: bpy.types.Scene, recording: Recording, frame: int, scene
     group = scene.blender_lidar
     scenario = session.scenario_from(scene)
     reach, road = max(_LEAST_REACH_M, scenario.sensor.range_gate_m), scenario.road_map
-    s = float(road.locate([scenario.deployment.nominal_xy]).s_m[0])
-    build_road(scene, road, (s - reach, s + reach))
+    build_road(scene, road, road.stretch(scenario.deployment.nominal_xy, reach))
     build_scenery(scene, scenery)
     for item in collection(scene, "Scenery", STANDING).objects:
         item.hide_select = True  # it shows what the file says; moving it would move nothing that is scanned

@@ -16,7 +16,7 @@ from ..errors import InputError, MissingExtraError, one_line, unknown_name
 from ..files import check_folder, check_unused, make_folder, write_text
 from ..names import SIDES, TRAFFIC_FORMATS
 from ..report.site_plan import plot_site_plan, road_text
-from ..road import StraightRoad
+from ..road.straight import StraightRoad, road_map
 from ..scene.plausibility import checked_recording
 from ..scene.scenario import load_scenario, shipped_scenes
 from ..scene.settings import TrafficSettings
@@ -115,7 +115,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
     said = {
         key: _path(value, folder) if key in ("path", "vehicle_types") else _text(value) for key, value in given.items()
     }
-    across = max(abs(edge - layout.pole_y) for edge in np.ravel(layout.road.carriageways_y))
+    across = np.abs(np.subtract(road_map(layout.road).edges_t, layout.pole_y)).max()
     corner = max(math.hypot(along, across) for along in (low, high))
     gate = _GATE_STEP_M * math.ceil((corner + 1.0) / _GATE_STEP_M)
     lines = [

@@ -19,7 +19,7 @@ from ..scene.settings import DECLARED
 from ..toml_table import Setting, checked, limits_text
 
 if TYPE_CHECKING:
-    from ..scene.settings import Scenario
+    from ..scene.scenario import Scenario
 
 _MOST_FRAMES = 1_000_000
 _FRAMES = re.compile(r"\s*(-?\d+)(?::(-?\d+)(?::(\d+))?)?\s*")

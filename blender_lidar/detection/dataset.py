@@ -18,7 +18,7 @@ import numpy as np
 from ..casting.culling import Pieces, reachable_beams
 from ..casting.protocol import StandingScenery
 from ..clouds.scan import FrameScan, PointCloud, Turn
-from ..scene.mount_checks import footprints_meet
+from ..road.road_map import RoadMap
 from ..scene.mounting import Mounting
 from ..scene.observation import Observation
 from ..scene.provenance import versions
@@ -29,16 +29,17 @@ from ..scoring.frame_scorer import FrameShapes
 from ..scoring.workers import Workers
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
-from ..traffic.vehicles import Vehicles
+from ..traffic.vehicles import Vehicles, rectangles_overlap
 from ..world.triangles import place
 from .judge import believed, hung_off_by
 
 TRAIN, VAL = "train", "val"
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0  # multiples of it are spread evenly, any run of them
-_COVERED = (1.0, 99.0)  # percentiles of x between which a recording has traffic
-_ALONG, _ALONG_SHARE = math.radians(15.0), 0.95  # of the vehicles, on a road along x
+_COVERED = (1.0, 99.0)  # percentiles of the vehicles' places along the road between which a recording has traffic
+_ALONG, _ALONG_SHARE = math.radians(15.0), 0.95  # of the vehicles, on a straight road
 _MOST_DRAWS = 50  # of a station at which the LiDAR stands beside the traffic
 _ABREAST_M = 20.0  # along the road: what passes a pole has been or will be there
+_TOUCHING_M = 1e-6  # what touches a pole is in its way
 _MOUNTINGS, _SCANS = range(2)  # streams of random numbers
 
 
@@ -58,9 +59,9 @@ class PlannedScan:
     mount, hangs : Mounting
         The six coordinates that are planned, and those at which the LiDAR hangs [m, degrees].
     station_m : float
-        The x of the recording at which the site's x = 0 lies [m].
+        How far along the straight road of the recording the site's origin lies [m].
     mirrored : bool
-        Whether the traffic is reflected in x = 0 after that.
+        Whether the traffic is then reflected there, so that it comes from the other side.
     seed : int
         Of the clutter and of the sensor's imperfections.
     """
@@ -182,13 +183,13 @@ def plan_dataset(
     frames = tuple(map(site.recording.vehicles, (*site.plan.search.tolist(), *site.plan.holdout.tolist())))
     scans = len(frames) * mountings if scans is None else scans
     mounts = tuple(_mount(site.scenario, seed, number) for number in range(mountings))
-    notes, moved = [] if len(site.plan.holdout) else ["no frame is held out, so there are no validation scans"], False
+    notes, axis = [] if len(site.plan.holdout) else ["no frame is held out, so there are no validation scans"], None
     if not as_recorded:
-        moved = _is_straight(frames)
-        if not moved:
-            notes.append("the traffic does not drive along the x axis: it is neither moved nor mirrored")
-    stations = _Stations(site, frames, moved)
-    if moved and stations.is_one:
+        axis = _axis(frames, site.scenario.road_map)
+        if axis is None:
+            notes.append("the traffic does not drive along a straight road: it is neither moved nor mirrored")
+    stations = None if axis is None else _Stations(site, frames, axis)
+    if stations and stations.is_one:
         notes.append("the recording covers no more of the road than the site sees: the traffic is not moved along it")
     order = np.argsort(np.arange(len(frames)) * _GOLDEN % 1.0, kind="stable").tolist()  # few scans are of any time
     planned = []
@@ -199,7 +200,7 @@ def plan_dataset(
         mount = mounts[mounting]
         hangs = hung_off_by(site.scenario, mount, rng)
         scan_seed = int(rng.integers(2**31))
-        station, mirrored = stations.draw(mount, rng)
+        station, mirrored = stations.draw(mount, rng) if stations else (0.0, False)
         split = TRAIN if frame < len(site.plan.search) else VAL
         planned.append(PlannedScan(number, split, frame, mounting, mount, hangs, station, mirrored, scan_seed))
     world = site.scenario.world
@@ -229,66 +230,78 @@ def _mount(scenario: Scenario, seed: int, number: int) -> Mounting:
     return mounting
 
 
-def _is_straight(frames: Iterable[Vehicles]) -> bool:
-    """Whether nearly all drive along x, one way or the other."""
+def _axis(frames: Iterable[Vehicles], road: RoadMap) -> np.ndarray | None:
+    """Unit vector (2,) along a straight road, where nearly all drive along it, one way or the other; else None."""
+    if (axis := road.axis) is None:
+        return None
     heading = np.concatenate([vehicles.heading_rad for vehicles in frames])
-    return bool((np.abs(np.sin(heading)) < math.sin(_ALONG)).mean() >= _ALONG_SHARE)
+    off = axis[0] * np.sin(heading) - axis[1] * np.cos(heading)
+    return axis if (np.abs(off) < math.sin(_ALONG)).mean() >= _ALONG_SHARE else None
+
+
+def _mirror(axis: np.ndarray) -> np.ndarray:
+    """Reflection that turns an axis (2,) into its opposite, (2, 2)."""
+    return np.eye(2) - 2.0 * np.outer(axis, axis)
 
 
 class _Stations:
-    """Where along a recording the site may stand: with traffic all over it, and none where the LiDAR's pole is."""
+    """Where along a straight road the site may stand: with traffic all over it, and none where the LiDAR's pole is."""
 
-    def __init__(self, site: Site, frames: Iterable[Vehicles], moved: bool) -> None:
-        region, self._moved = site.region, moved
+    def __init__(self, site: Site, frames: Iterable[Vehicles], axis: np.ndarray) -> None:
+        region, self._axis = site.region, axis
         self._boxes = [
             np.concatenate([getattr(vehicles, name) for vehicles in frames])
             for name in ("centre_m", "size_m", "heading_rad")
         ]
-        x, y = self._boxes[0][:, 0], self._boxes[0][:, 1]
-        self._x, self._y, self._reach = x.copy(), y.copy(), self._boxes[1][:, :2].max(axis=1, initial=0.0)
-        first, last = np.percentile(x, _COVERED) if len(x) else (0.0, 0.0)
-        reach, self._middle = max(region.radius_m, site.observation.lidar.max_range_m), region.centre_xy[0]
-        self._low, self._high = first + reach, last - reach
+        self._frame = np.array([axis, (-axis[1], axis[0])])  # rows: along the road, and across it
+        self._places = self._boxes[0][:, :2] @ self._frame.T
+        along, self._reach = self._places[:, 0], self._boxes[1][:, :2].max(axis=1, initial=0.0)
+        first, last = np.percentile(along, _COVERED) if len(along) else (0.0, 0.0)
+        reach = max(region.radius_m, site.observation.lidar.max_range_m)
+        self._middle, self._low, self._high = float(axis @ region.centre_xy), first + reach, last - reach
         self._over_lanes = site.scenario.road_map.within
 
     @property
     def is_one(self) -> bool:
         """Whether there is no choice."""
-        return not (self._moved and self._low < self._high)
+        return self._low >= self._high
 
     def draw(self, mount: Mounting, rng: np.random.Generator) -> tuple[float, bool]:
         """Station [m], and whether the traffic is mirrored."""
-        if not self._moved:
-            return 0.0, False
         mirrored = bool(rng.random() < 0.5)
         middle = -self._middle if mirrored else self._middle
         draws = 0 if self.is_one else _MOST_DRAWS
         stations = (self._low - middle + (self._high - self._low) * rng.random(draws)).tolist()
-        return next(((x, mirrored) for x in (*stations, 0.0) if self._is_clear(mount, x, mirrored)), (0.0, False))
+        return next(((s, mirrored) for s in (*stations, 0.0) if self._is_clear(mount, s, mirrored)), (0.0, False))
 
     def _is_clear(self, mount: Mounting, station_m: float, mirrored: bool) -> bool:
         """Whether no vehicle of any frame passes where the LiDAR hangs, or has just passed or is about to."""
-        pole = np.array([station_m + mount.xy[0] * (-1.0 if mirrored else 1.0), mount.xy[1]])
+        pole = station_m * self._axis + (mount.xy @ _mirror(self._axis) if mirrored else mount.xy)
         centre, size, heading = self._boxes
-        beside = np.array([_ABREAST_M, 0.0])
-        near = np.flatnonzero(np.abs(self._y - pole[1]) <= self._reach)
-        near = near[np.abs(self._x[near] - pole[0]) <= self._reach[near] + _ABREAST_M]
+        along, across = np.abs(self._places - self._frame @ pole).T
+        near = np.flatnonzero((across <= self._reach) & (along <= self._reach + _ABREAST_M))
         if self._over_lanes([mount.xy])[0]:  # on a gantry: what is lower than the LiDAR passes below it
             near = near[centre[near, 2] + 0.5 * size[near, 2] >= mount.pose.height_m]
-        return not footprints_meet(centre[near], size[near], heading[near], pole - beside, pole + beside).any()
+        passing = pole, np.array([_ABREAST_M, 0.0]) + _TOUCHING_M, math.atan2(self._axis[1], self._axis[0])
+        return not rectangles_overlap(centre[near, :2], 0.5 * size[near, :2], heading[near], *passing).any()
 
 
-def _moved(vehicles: Vehicles, station_m: float, mirrored: bool) -> Vehicles:
-    """A frame seen from a station, and mirrored there: x becomes -x, a heading h becomes pi - h."""
-    centre, heading = vehicles.centre_m - (station_m, 0.0, 0.0), vehicles.heading_rad
+def _moved(vehicles: Vehicles, station_m: float, mirrored: bool, axis: np.ndarray | None) -> Vehicles:
+    """A frame seen from a station of a straight road, and mirrored there: along x, a heading h becomes pi - h."""
+    if not (station_m or mirrored):
+        return vehicles
+    xy, heading = vehicles.centre_m[:, :2] - station_m * axis, vehicles.heading_rad
     if mirrored:
-        centre, heading = centre * (-1.0, 1.0, 1.0), np.arctan2(np.sin(heading), -np.cos(heading))
-    return replace(vehicles, centre_m=centre, heading_rad=heading)
+        xy = xy @ _mirror(axis)
+        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1) @ _mirror(axis)
+        heading = np.arctan2(ahead[:, 1], ahead[:, 0])
+    return replace(vehicles, centre_m=np.column_stack([xy, vehicles.centre_m[:, 2]]), heading_rad=heading)
 
 
 def _traffic(plan: DatasetPlan, scan: PlannedScan) -> tuple[Vehicles, np.ndarray, np.ndarray]:
     """The vehicles of a scan within reach, and which of them are counted and labelled."""
-    vehicles = _moved(plan.frames[scan.frame], scan.station_m, scan.mirrored)
+    axis = plan.scenario.road_map.axis
+    vehicles = _moved(plan.frames[scan.frame], scan.station_m, scan.mirrored, axis)
     vehicles = vehicles.select(plan.region.distance(vehicles) <= plan.reach_m)
     away = np.hypot(*(vehicles.centre_m[:, :2] - scan.mount.xy).T)
     inside = plan.region.holds(vehicles)

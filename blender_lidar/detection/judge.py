@@ -89,7 +89,7 @@ def watched(site: Site) -> tuple[np.ndarray, np.ndarray]:
     road, xy = site.scenario.road_map, [frame.vehicles.centre_m[frame.counted, :2] for frame in site.search]
     (right, left), t = road.edges_t, road.locate(np.concatenate(xy)).t_m
     if right - _ASIDE_M <= t.min(initial=np.inf) and t.max(initial=-np.inf) <= left + _ASIDE_M:
-        s = road.locate(np.array([region.centre_xy])).s_m[0] + region.radius_m * np.linspace(-1.0, 1.0, 21)
+        s = road.stations(road.stretch(region.centre_xy, region.radius_m))
         beside = np.concatenate([road.at(s, t) for t in (right - _ASIDE_M, left + _ASIDE_M)])
         low, high = np.maximum(low, beside.min(axis=0)), np.minimum(high, beside.max(axis=0))
     return low, high

@@ -104,7 +104,7 @@ def _beside(site, mounting):
     away, side = road.clearance(mounting.xy)
     if road.within(np.array([mounting.xy]))[0]:
         return f"over a lane, {abs(away):.2f} m from its {side} edge, seen in its direction of travel"
-    where = "in the median, " if site.scenario.road.side_of(mounting.xy[1]) == "median" else ""
+    where = "in the median, " if site.scenario.road.side_of(mounting.xy) == "median" else ""
     return f"{where}{away:.2f} m from the edge of the nearest lane, to the {side} of its traffic"
 
 

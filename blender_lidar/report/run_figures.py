@@ -308,7 +308,7 @@ def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Seq
             below = np.where(table["detectable"], 0.0, 100.0)
             share = cell_means(below, (table["y_m"], table["x_m"]), (y_edges, x_edges))
             mesh, empty = _draw_cells(axes, x_edges, y_edges, share)
-            _draw_lanes(axes, road, (x_edges[0], x_edges[-1]))
+            _draw_lanes(axes, road, np.stack(np.meshgrid(x_edges[[0, -1]], y_edges[[0, -1]]), axis=-1).reshape(-1, 2))
             marker = mark_sensor(axes, (mount["x_m"], mount["y_m"]))
             outlines = [_outline_zone(axes, zone) for zone in zones]
             found = f"{below.mean():.1f} % of {below.size:,} vehicles below the threshold"
@@ -358,9 +358,10 @@ def _draw_cells(axes: Axes, x_edges: np.ndarray, y_edges: np.ndarray, percent: n
     return mesh, Rectangle((0.0, 0.0), 1.0, 1.0, label="no vehicle was there", **look)
 
 
-def _draw_lanes(axes: Axes, road: RoadMap, s_m: tuple[float, float]) -> None:
-    """The edges of carriageways solid, the lines between their lanes dashed, from one station to another [m]."""
-    edges, between = road.lines(s_m)
+def _draw_lanes(axes: Axes, road: RoadMap, corners: np.ndarray) -> None:
+    """The edges of carriageways solid, the lines between their lanes dashed, as far as places (4, 2) reach [m]."""
+    s = road.locate(corners).s_m
+    edges, between = road.lines((s.min(), s.max()))
     for line in between:
         axes.plot(*line.T, color="black", linewidth=0.5, dashes=(6, 4))
     for line in edges:

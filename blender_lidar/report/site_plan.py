@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..names import SIDES
-from ..road import StraightRoad
+from ..road.straight import StraightRoad, road_map
 from ..traffic.layout import HALF_STRETCH_M, RoadLayout
 from ..traffic.vehicles import Recording
 from .figure import ALONG_LABEL, INK, TRAVEL_LABEL, mark_sensor, sheet
@@ -116,7 +116,7 @@ def _draw_near(axes, road, along, layout):
         axes.fill_between(layout.stretch_m, *edges, **_REGION_LOOK)
         for y in edges:
             axes.plot((low, high), (y, y), **_EDGE_LOOK)
-    for y in _lane_centres(layout.road):
+    for y in road_map(layout.road).offset_m:
         axes.plot((low, high), (y, y), **_LANE_LOOK)
     at = bottom + 4.0, top - 4.0  # beside the carriageway that drives along +x, and the other one
     with_x, against = at if layout.road.drives_on == SIDES[0] else at[::-1]
@@ -140,11 +140,6 @@ def _across_m(layout):
     return -8.0, layout.road.place(SIDES[1])[0] + 8.0
 
 
-def _lane_centres(road):
-    of_lanes = (np.arange(road.lanes) + 0.5) * road.lane_width_m
-    return np.concatenate([right + of_lanes for right, _ in road.carriageways_y])
-
-
 def _draw_across(axes, road, along, layout):
     """How often vehicles drive where across the road, beside the proposed lanes."""
     bottom, top = _across_m(layout)
@@ -153,7 +148,7 @@ def _draw_across(axes, road, along, layout):
     axes.barh(edges[:-1], counts, height=0.25, align="edge", color=_ALONG)
     for y in np.ravel(layout.road.carriageways_y):
         axes.axhline(y, **_EDGE_LOOK)
-    for y in _lane_centres(layout.road):
+    for y in road_map(layout.road).offset_m:
         axes.axhline(y, **_LANE_LOOK)
     axes.set(xlabel="Boxes", title="Driven where", yticklabels=[])
 

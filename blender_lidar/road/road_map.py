@@ -95,6 +95,12 @@ class RoadMap:
         half = 0.5 * self.width_m
         return float((self.offset_m - half).min()), float((self.offset_m + half).max())
 
+    @property
+    def axis(self) -> np.ndarray | None:
+        """Unit vector (2,) along which all lanes go on without ends; None where the road bends or ends."""
+        along = self._segments()[1]
+        return along[0] if self.endless and np.allclose(along, along[0]) else None
+
     def locate(self, xy: np.ndarray, heading_rad: np.ndarray | None = None) -> Located:
         """Lane, station, offset and direction of travel at places (n, 2) [m].
 
@@ -131,16 +137,33 @@ class RoadMap:
 
     def at(self, s_m: np.ndarray, t_m: np.ndarray, lane: int = 0) -> np.ndarray:
         """Places at stations and offsets from the reference line of a lane, (..., 2) [m, site frame]."""
-        line, s_m = self.points_m[lane], np.asarray(s_m, dtype=float)
+        line, s_m, station = self.points_m[lane], np.asarray(s_m, dtype=float), self.stations(lane=lane)
+        segment = np.clip(np.searchsorted(station, s_m, side="right") - 1, 0, len(station) - 2)
         step = np.diff(line, axis=0)
-        length = np.hypot(*step.T)
-        station = self.station_m[lane] + np.concatenate([[0.0], np.cumsum(length)])
-        segment = np.clip(np.searchsorted(station, s_m, side="right") - 1, 0, len(length) - 1)
-        along = step / length[:, None]
+        along = step / np.hypot(*step.T)[:, None]
         left = np.stack([-along[:, 1], along[:, 0]], axis=1)
         reference = line[:-1] - self.offset_m[lane] * left
         ahead = (s_m - station[segment])[..., None] * along[segment]
         return reference[segment] + ahead + np.asarray(t_m)[..., None] * left[segment]
+
+    def stations(self, s_m: tuple[float, float] | None = None, lane: int = 0) -> np.ndarray:
+        """Stations of a lane's corners, (k,) [m]; of those between two others, and these, nothing where it is not."""
+        station = np.cumsum(np.hypot(*np.diff(self.points_m[lane], axis=0).T))
+        station = self.station_m[lane] + np.concatenate([[0.0], station])
+        if s_m is None:
+            return station
+        low, high = s_m
+        if not self.endless:
+            low, high = max(low, station[0]), min(high, station[-1])
+        if high <= low:
+            return station[:0]
+        corners = station[1:-1]  # without ends the lane goes straight on there
+        return np.concatenate([[low], corners[(corners > low) & (corners < high)], [high]])
+
+    def stretch(self, xy: Sequence[float], reach_m: float) -> tuple[float, float]:
+        """Stations between which the road lies within reach of a place [m]."""
+        s = float(self.locate(np.array([xy], dtype=float)).s_m[0])
+        return s - reach_m, s + reach_m
 
     def within(self, xy: np.ndarray) -> np.ndarray:
         """Which places (n, 2) [m] lie on the lanes and not on the outer edge of them all, (n,) bool."""
@@ -235,23 +258,7 @@ class RoadMap:
 
     def _between(self, lane: int, s_m: tuple[float, float] | None) -> np.ndarray:
         """The centre line of a lane between two stations, (k, 2) [m]; nothing where it has no part there."""
-        line = self.points_m[lane]
-        if s_m is None:
-            return line
-        steps = np.hypot(*np.diff(line, axis=0).T)
-        station = self.station_m[lane] + np.concatenate([[0.0], np.cumsum(steps)])
-        low, high = s_m
-        if not self.endless:
-            low, high = max(low, station[0]), min(high, station[-1])
-        if high <= low:
-            return line[:0]
-        first, last = np.clip(np.searchsorted(station, (low, high)) - 1, 0, len(steps) - 1)
-        along = np.diff(line, axis=0) / steps[:, None]
-        start, end = (line[at] + (s - station[at]) * along[at] for at, s in ((first, low), (last, high)))
-        corners = (station > low) & (station < high)
-        if self.endless:
-            corners[[0, -1]] = False  # the lane goes straight on there
-        return np.concatenate([[start], line[corners], [end]])
+        return self.at(self.stations(s_m, lane), self.offset_m[lane], lane)
 
 
 def _beside(line: np.ndarray, offset_m: float) -> np.ndarray:

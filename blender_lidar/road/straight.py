@@ -11,6 +11,8 @@ from ..names import SIDES
 from ..toml_table import setting
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
 
     from .road_map import RoadMap
@@ -92,9 +94,9 @@ class StraightRoad:
         """Whether masts face the road from where they stand unless said; else all face +y."""
         return self.drives_on != SIDES[0] or self.carriageways > 1
 
-    def side_of(self, y_m: float) -> str:
-        """The side of the road on which a place at y [m] lies; a gantry's, where it is over a carriageway."""
-        edges = self.carriageways_y
+    def side_of(self, xy: Sequence[float]) -> str:
+        """The side of the road on which a place [m] lies; a gantry's, where it is over a carriageway."""
+        edges, y_m = self.carriageways_y, xy[1]
         if y_m <= edges[0][0] + _ON_EDGE_M or y_m >= edges[-1][1] - _ON_EDGE_M:
             return "right" if y_m <= edges[0][0] + _ON_EDGE_M else "left"
         over = any(right + _ON_EDGE_M < y_m < left - _ON_EDGE_M for right, left in edges)
@@ -105,6 +107,10 @@ class StraightRoad:
         import numpy as np
 
         return np.stack([along_m - self.station_m, self.setback_m + (self.right_edge_m - right_m)], axis=1)
+
+    def in_ngsim(self, s_m: np.ndarray, t_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Local_Y and Local_X [m] of stations and offsets [m]."""
+        return s_m + self.station_m, self.setback_m + self.right_edge_m - t_m
 
     @property
     def is_level(self) -> bool:

@@ -29,7 +29,7 @@ from ..files import (
 )
 from ..metrics.catalogue import PE_VGOP
 from ..scene.provenance import check_identity
-from ..scene.settings import Scenario
+from ..scene.scenario import Scenario
 from ..toml_table import to_toml
 from .verdict import WEIGHT, ScoreMap, columns_for
 

@@ -509,6 +509,21 @@ def distance_bands(table: dict[str, np.ndarray], width_m: float = 10.0) -> list[
     return [(f"{number * width_m:g}-{(number + 1) * width_m:g} m", band == number) for number in np.unique(band)]
 
 
+_QUARTERS = ("+x", "+y", "-x", "-y")
+_MEANT_SHARE = 0.05  # of the vehicles of a lane; fewer that head another way are no lane of their own
+
+
 def lanes(table: dict[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
-    """Names of the lanes that hold vehicles, and which rows of a vehicle table each holds."""
-    return [(f"lane {number}" if number else "no lane", table["lane"] == number) for number in np.unique(table["lane"])]
+    """Names of the lanes that hold vehicles, and which rows of a vehicle table each holds.
+
+    A number that is of several lanes, as where each direction of travel counts from its own kerb, is split by headings.
+    """
+    found, quarter = [], np.rint(table["heading_deg"] / 90.0).astype(int) % 4
+    for number in np.unique(table["lane"]):
+        rows, name = table["lane"] == number, f"lane {number}" if number else "no lane"
+        ways, counts = np.unique(quarter[rows], return_counts=True)
+        if number and (counts >= _MEANT_SHARE * counts.sum()).sum() > 1:
+            found += [(f"{name}, towards {_QUARTERS[way]}", rows & (quarter == way)) for way in ways]
+        else:
+            found.append((name, rows))
+    return found

@@ -18,7 +18,7 @@ from .mounting import ANGLES, LEANS, Layout, Mounting, mounting_from
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_TURNS = ("yaw_deg", "lean_direction_deg", "spin_deg")  # of which 360 degrees are a full circle
+TURNS = ("yaw_deg", "lean_direction_deg", "spin_deg")  # of which 360 degrees are a full circle
 HEADING = {"low": -360.0, "high": 360.0}
 
 
@@ -223,7 +223,7 @@ class SearchSpace:
     def periodic(self) -> tuple[bool, ...]:
         """Which searched coordinates are full circles, on which neither bound is an end."""
         named = zip(self.variables, self.bounds, strict=True)
-        return tuple(key in _TURNS and high - low == 360.0 for key, (low, high) in named)
+        return tuple(key in TURNS and high - low == 360.0 for key, (low, high) in named)
 
     @property
     def axes(self) -> tuple[str, str]:
@@ -270,10 +270,10 @@ class Deployment:
     clearance_m: float = 5.0
     faces_road: bool = False
 
-    def facing_at(self, y_m: float) -> float:
-        """Which way a mast at y [m] faces unless it says so itself [degrees]."""
+    def facing_at(self, xy: Sequence[float]) -> float:
+        """Which way a mast at a place [m] faces unless it says so itself [degrees]."""
         if self.faces_road:
-            return math.degrees(self.road.place(self.road.side_of(y_m))[1])
+            return math.degrees(self.road.place(self.road.side_of(xy))[1])
         return self.fixed["facing_deg"]
 
     @property
@@ -290,7 +290,7 @@ class Deployment:
         bounds = {**self.bounds, "height_m": (low, high)}
         (bounds if low == high else fixed).pop("height_m")
         if pole.facing_deg is not None or self.faces_road:
-            fixed["facing_deg"] = self.facing_at(pole.y_m) if pole.facing_deg is None else pole.facing_deg
+            fixed["facing_deg"] = self.facing_at((pole.x_m, pole.y_m)) if pole.facing_deg is None else pole.facing_deg
         return Place(fixed, {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds}, self.road, pole)
 
     @property

@@ -13,7 +13,7 @@ from ..road.road_map import wrap_angle
 from ..traffic.tracks import central_velocity, held_heading
 from ..traffic.vehicles import Placing, Recording
 from . import usual
-from .settings import Scenario
+from .scenario import Scenario
 
 # --- How vehicles move --------------------------------------------------------------------------------------------
 

@@ -19,8 +19,10 @@ from ..traffic.vehicles import Vehicles, rectangles_overlap
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M
 from . import usual
 from .deployment import Place
-from .mounting import PLACE, Mounting
-from .settings import BarrierSettings, BoxSettings, Scenario
+from .mounting import ANGLES, LEANS, PLACE, Mounting
+from .places import in_radians
+from .scenario import Scenario
+from .settings import BarrierSettings, BoxSettings
 
 # --- Where masts stand and LiDARs hang, beside the lanes, the traffic and what stands still ---------------------------
 
@@ -73,7 +75,8 @@ def check_mount_is_clear(
             for place in scenario.deployment.places
         }
         mounts[scenario.where("baseline", "x_m, y_m")] = scenario.baseline
-    solids = [*scenario.world.boxes, *map(_box_around, scenario.world.barriers)]
+    barriers = (boxes_around(barrier, scenario.road_map) for barrier in scenario.world.barriers)
+    solids = [*scenario.world.boxes, *itertools.chain.from_iterable(barriers)]
     frames = list(frames)
     for where, mount in mounts.items():
         reach = _reach(scenario, where, mount)
@@ -165,54 +168,17 @@ def footprints_meet(
     return rectangles_overlap(centre[:, :2], 0.5 * size[:, :2], heading, *rectangle)
 
 
-def _box_around(barrier: BarrierSettings) -> BoxSettings:
-    (first, last), height = barrier.x_m, HEIGHT_M
-    centre = (0.5 * (first + last), barrier.y_m, 0.5 * height)
-    size = (last - first, 2 * HALF_WIDTH_M, height)
-    return BoxSettings(name=f"{barrier.kind} at y {barrier.y_m:g} m", centre_m=centre, size_m=size)
+def boxes_around(barrier: BarrierSettings, road: RoadMap) -> Iterator[BoxSettings]:
+    """A box about each straight piece of a barrier."""
+    name = f"{barrier.kind} at y {barrier.y_m:g} m"
+    for ends in itertools.pairwise(road.at(road.stations(barrier.x_m), barrier.y_m)):
+        (x, y), (ahead, aside) = np.mean(ends, axis=0), np.diff(ends, axis=0)[0]
+        size = (math.hypot(ahead, aside), 2 * HALF_WIDTH_M, HEIGHT_M)
+        heading = math.degrees(math.atan2(aside, ahead))
+        yield BoxSettings(name=name, centre_m=(x, y, 0.5 * HEIGHT_M), size_m=size, heading_deg=heading)
 
 
 # --- Angles in radians, tilts away from the road, unusual heights and noise -------------------------------------------
-
-_ANGLES = ("tilt_x_deg", "tilt_y_deg", "yaw_deg", "lean_deg", "lean_direction_deg", "spin_deg")
-_OF_A_CIRCLE = ("yaw_deg", "lean_direction_deg", "spin_deg")
-
-
-def in_radians(key: str, ends: tuple[float, ...]) -> tuple[float, ...] | None:
-    """The round degrees that an angle's numbers are in radians, None where they are none.
-
-    All are multiples of 5 degrees within the digits that are given, of which one has two decimals or more: a number of
-    two decimals is one of these by chance in one case of nine.
-    """
-    most = math.tau if key in _OF_A_CIRCLE else 0.5 * math.pi
-    decimals = [len(f"{abs(end):.12g}".partition(".")[2]) for end in ends]
-    if max(decimals) < usual.DECIMALS:
-        return None
-    degrees = tuple(usual.ROUND_DEG * round(math.degrees(end) / usual.ROUND_DEG) for end in ends)
-    for end, rounded in zip(ends, degrees, strict=True):
-        step = 10.0 ** -max(decimals)  # ends are rounded alike: 0.5 beside 0.25 is 0.50
-        if abs(end) > most + step or abs(end - math.radians(rounded)) > 0.51 * step:
-            return None
-    return degrees if any(degrees) else None
-
-
-def check_degrees(where: str, key: str, ends: tuple[float, float]) -> None:
-    """Refuse to search an angle between bounds that are round in radians.
-
-    Raises
-    ------
-    InputError
-        Naming degrees, and how to search such a narrow interval all the same.
-    """
-    meant = in_radians(key, ends)
-    if meant is None or (key in _OF_A_CIRCLE and ends[1] - ends[0] < math.radians(usual.ROUND_DEG)):
-        return
-    low, high = meant
-    raise InputError(
-        f"{where}: is [{ends[0]:g}, {ends[1]:g}] degrees; probably radians: [{low:g}, {high:g}] in degrees, the unit "
-        "here; to search so narrow an interval give other bounds, such as a hundredth wider"
-    )
-
 
 _LEVEL = 1e-6  # sine of a lean
 _USUAL_HEIGHTS = "(usual: 2 to 12, a gantry or a lamp): metres above the road?"
@@ -223,7 +189,7 @@ def mount_notes(scenario: Scenario, given: Sequence[Mounting] = ()) -> Iterator[
     deployment = scenario.deployment
     asked = [("the mounting", one.as_table()) for one in given] or [("[deployment]", deployment.fixed)]
     for name, table in (*asked, ("[baseline]", scenario.baseline.as_table())):
-        for key in _ANGLES[:3] if "tilt_x_deg" in table else _ANGLES[3:]:
+        for key in ANGLES if ANGLES[0] in table else LEANS:
             meant = in_radians(key, (table.get(key) or 0.0,))
             if meant:
                 yield f"{key} of {name} is {table[key]:g} degrees; is that {meant[0]:g} degrees in radians?"

@@ -15,7 +15,7 @@ from ..traffic.lanes import LANE_WIDTHS_M, USUAL_LANE_M, density_peaks
 from ..traffic.vehicles import Recording, frames_looked_at, overlapping_pairs
 from . import usual
 from .region import Region, region_of
-from .settings import Scenario
+from .scenario import Scenario
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +109,8 @@ def _keep_to_it(placed: Placed) -> bool:
 
 def _place_meant(t: np.ndarray, recording: Recording, scenario: Scenario) -> str:
     """What would put vehicles at `t` onto the carriageway, in words."""
-    road = scenario.road
     if recording.report.periods:
-        at = _span("Local_X", road.setback_m + road.right_edge_m - t)
+        at = _span("Local_X", scenario.road.in_ngsim(0.0, t)[1])
         return f"check [road] right_edge_m, in metres where NGSIM has feet: vehicles drive at {at}"
     return (
         "check [traffic] origin_m and heading_deg, the unit and the side (y mirrored, or half a turn), and [road] "
@@ -252,8 +251,8 @@ def _in_one_place(recording: Recording) -> int:
 def nobody_there(recording: Recording, region: Region, frames: int, scenario: Scenario) -> InputError:
     """The error for a region where nobody drives: where vehicles are, and the keys that move one to the other."""
     road, (x, y) = scenario.road_map, recording.centre_m[:, :2].T
-    at, middle = road.locate(recording.centre_m), road.locate(np.array([region.centre_xy]))
-    beside = np.abs(at.s_m - middle.s_m) <= region.radius_m
+    at, (first, last) = road.locate(recording.centre_m), road.stretch(region.centre_xy, region.radius_m)
+    beside = (at.s_m >= first) & (at.s_m <= last)
     if beside.any() and (at.lane[beside] >= 0).mean() < usual.FEW:
         meant = _place_meant(at.t_m[beside], recording, scenario)
     elif asked := {lane for one in scenario.region.stretches or () for lane in one.lanes or ()}:
@@ -261,7 +260,8 @@ def nobody_there(recording: Recording, region: Region, frames: int, scenario: Sc
         meant = f"its lanes are {there}" if there else "it names no lanes"
         meant = f"check [region] stretches: of lanes {', '.join(map(str, sorted(asked)))}, {meant}"
     elif recording.report.periods:
-        meant = f"check [road] station_m (such as {scenario.road.station_m + np.median(x):.0f}) and [region]"
+        local_y, _ = scenario.road.in_ngsim(np.median(x), 0.0)
+        meant = f"check [road] station_m (such as {local_y:.0f}) and [region]"
     else:
         meant = "check [traffic] origin_m and heading_deg, and [region]"
     return InputError(

@@ -17,7 +17,7 @@ from ..traffic.vehicles import CLASSES, Recording
 from . import usual
 from .motion_checks import Tracks, headings, jumps, time_step, track_notes
 from .place_checks import Placed, carriageway, overlaps, place_notes
-from .settings import Scenario
+from .scenario import Scenario
 
 
 class _Seen:

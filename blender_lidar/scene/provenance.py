@@ -15,7 +15,8 @@ from .. import __version__
 from ..errors import InputError, shown
 from ..files import open_file, reading, source_digest
 from ..plugins import is_plugin, plugin_file, short_name
-from .settings import DECLARED, Scenario
+from .scenario import Scenario
+from .settings import DECLARED
 
 _CONTENT = "file with SHA-256 "  # how the content of a file stands for it
 _PLUGINS = [

@@ -1,4 +1,4 @@
-"""Reading a scene file into frozen settings: what one setting alone cannot say is checked here.
+"""A scene file, read into a `Scenario` of frozen settings: what one setting alone cannot say is checked here.
 
 Every table and key is described in docs/reference/scene_file.md. Options of the command line replace the file's values
 before they are checked, so both pass the same checks.
@@ -6,33 +6,24 @@ before they are checked, so both pass the same checks.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 from ..errors import InputError, MissingFileError, shown, unknown_name
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import SEARCHES, DePso, DePsoSettings, GridSearch, search_named
+from ..road.road_map import RoadMap
 from ..road.straight import StraightRoad, road_map
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
-from .deployment import (
-    COORDINATE_LIMITS,
-    DEPLOYMENT,
-    LEAN,
-    MOUNTING,
-    MOUNTING_OR_LEAN,
-    STAND,
-    Deployment,
-)
-from .mount_checks import check_degrees
-from .mounting import ANGLES, Mounting, has_lean, mast_at, mounting_from
-from .poles import read_poles
-from .region import check_polygon, region_of
+from .deployment import Deployment
+from .mounting import MOUNTED, Mounting, mounting_from
+from .places import baseline_from, deployment_from
+from .region import check_polygon
 from .settings import (
     DATASHEET,
     DECLARED,
@@ -40,7 +31,6 @@ from .settings import (
     ModelSettings,
     ObjectiveSettings,
     RegionSettings,
-    Scenario,
     SearchSettings,
     SensorSettings,
     Tolerance,
@@ -49,21 +39,109 @@ from .settings import (
     is_sensor_file,
 )
 
-__all__ = ["Scenario", "load_scenario", "scenario_of"]
-
 _FEW_COORDINATES, _SEEDS = 2, 3  # with more of them so many searches: one alone may end anywhere
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
 _OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
 _OF_ONE_RECORDING = ("name", "weight", "path", "vehicle_types", "period", "location", "frame_ids")
+_FILES, _TRAFFIC_FILES = (("world", "blend"), ("world", "mesh")), ("path", "vehicle_types")
 _USUAL_MEDIAN_M = 4.0
-_GANTRY_M, _GANTRY_SPAN_M = 8.0, 3.0  # up to which a gantry is searched unless said, and at least so far
-_LIE = {
-    "right": "to the right of the road",
-    "left": "to the left of the road",
-    "median": "in the median",
-    "gantry": "over the lanes",
-}
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A whole scene, checked.
+
+    Attributes
+    ----------
+    source : str
+        The file, or what else it was read from.
+    where : callable
+        How errors name a table's key.
+    traffic : TrafficSettings
+        The recording, of several the first.
+    further_traffic : tuple of TrafficSettings
+        The others.
+    """
+
+    source: str
+    traffic: TrafficSettings
+    road: StraightRoad
+    world: WorldSettings
+    sensor: SensorSettings
+    deployment: Deployment
+    region: RegionSettings
+    baseline: Mounting
+    objective: ObjectiveSettings
+    search: SearchSettings
+    model: ModelSettings
+    where: Callable[[str, str], str] = field(repr=False, compare=False)
+    further_traffic: tuple[TrafficSettings, ...] = ()
+
+    @property
+    def recordings(self) -> tuple[TrafficSettings, ...]:
+        """All recordings."""
+        return self.traffic, *self.further_traffic
+
+    @property
+    def road_map(self) -> RoadMap:
+        """Where the lanes and the surface are."""
+        return road_map(self.road)
+
+    def mounting(self, table: Mapping[str, float | None], where: str = "mounting") -> Mounting:
+        """The mounting that some coordinates give [m, degrees], with the baseline's others: see `mounting_from`."""
+        if self.deployment.faces_road and table.get("y_m") is not None and table.get("facing_deg") is None:
+            x_m = self.baseline.xy[0] if table.get("x_m") is None else table["x_m"]
+            table = {**table, "facing_deg": self.deployment.facing_at((x_m, table["y_m"]))}
+        return mounting_from(table, self.road_map, self.baseline, where)
+
+    @property
+    def files(self) -> dict[tuple[str, str], str]:
+        """The files that it names, by table and key."""
+        named = {(table, key): getattr(getattr(self, table), key) for table, key in _FILES}
+        for table, recording in zip(self._traffic_tables, self.recordings, strict=True):
+            named |= {(table, key): getattr(recording, key) for key in _TRAFFIC_FILES}
+        named["deployment", "poles"] = self.deployment.poles_file
+        if self.sensor.is_file:
+            named["sensor", "name"] = self.sensor.name
+        return {place: path for place, path in named.items() if path is not None}
+
+    @property
+    def _traffic_tables(self) -> list[str]:
+        return ["traffic", *(f"traffic {number}" for number in range(2, len(self.recordings) + 1))]
+
+    def as_tables(self) -> dict[str, dict]:
+        """The scene as used, in the layout of a scene file: reading it again gives this scene.
+
+        Of several recordings the second table is called "traffic 2".
+        """
+        tables = asdict(self)
+        further = zip(self._traffic_tables[1:], tables.pop("further_traffic"), strict=True)
+        tables = {"traffic": tables["traffic"], **dict(further), **tables}
+        del tables["source"], tables["where"]
+        tables["baseline"] = {key: self.baseline.as_table()[key] for key in MOUNTED}
+        tables["deployment"] = {**self.deployment.fixed, **self.deployment.bounds}
+        if self.deployment.faces_road:
+            del tables["deployment"]["facing_deg"]
+        if self.deployment.side is not None:
+            tables["deployment"] |= {key: getattr(self.deployment, key) for key in ("side", "clearance_m")}
+        if self.deployment.poles:
+            for key in ("x_m", "y_m"):
+                del tables["deployment"][key]
+            tables["deployment"]["poles"] = self.deployment.poles_file
+        return tables
+
+    def with_whole_paths(self) -> dict[str, dict]:
+        """`as_tables` as a file has them, paths from the root on, so that they mean the same from any folder.
+
+        Several recordings are a list.
+        """
+        tables = self.as_tables()
+        for (table, key), path in self.files.items():
+            tables[table][key] = str(Path(path).resolve())
+        traffic = [tables.pop(name) for name in self._traffic_tables]
+        return {"traffic": traffic if len(traffic) > 1 else traffic[0], **tables}
+
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
 
@@ -144,7 +222,7 @@ def scenario_of(
     tables = _tables(tables, overrides, where, folder)
     traffic, *further = _recordings([table for name, table in tables.items() if name.split()[0] == "traffic"])
     road, sensor = _road(tables["road"]), _sensor(tables["sensor"])
-    deployment = _deployment(tables["deployment"], road)
+    deployment = deployment_from(tables["deployment"], road)
     region = _region(tables["region"], sensor, of_file, overrides)
     objective = _objective(tables["objective"])
     if deployment.poles and objective.tolerance is not None:
@@ -165,7 +243,7 @@ def scenario_of(
         sensor=sensor,
         deployment=deployment,
         region=region,
-        baseline=_baseline(tables["baseline"], deployment, region),
+        baseline=baseline_from(tables["baseline"], deployment, region),
         objective=objective,
         search=search,
         model=_model(tables["model"]),
@@ -220,17 +298,6 @@ def _table(
     return TomlTable(values, where(""), {key: option for key, (_, option) in given.items()}, folder, where)
 
 
-def _baseline(table: TomlTable, deployment: Deployment, region: RegionSettings) -> Mounting:
-    """[baseline]: at the mount's own place where that is fixed; else where no bound and no pole moves it."""
-    road, place = road_map(deployment.road), {} if deployment.poles else deployment.fixed
-    x_m = place.get("x_m", region_of(region, road).centre_xy[0])
-    y_m = place.get("y_m", deployment.road.place(deployment.side or deployment.road.drives_on)[0])
-    given = {key: value for key, value in table.read(MOUNTING_OR_LEAN).items() if key in table.values}
-    mast = mast_at(road, x_m, y_m, math.radians(deployment.facing_at(given.get("y_m", y_m))))
-    upright = Mounting(mast, max(MOUNTING["height_m"].default, deployment.least_height_m))
-    return mounting_from(given, road, upright, table.name)
-
-
 def _road(table: TomlTable) -> StraightRoad:
     road = table.read_as(StraightRoad)
     if road.carriageways == 2:
@@ -238,98 +305,6 @@ def _road(table: TomlTable) -> StraightRoad:
     if road.median_m is not None:
         raise InputError(f"{table.where('median_m')}: is given for one carriageway; allowed: with carriageways = 2")
     return road
-
-
-def _stand(table: TomlTable, road: StraightRoad, found: dict[str, object], given: Mapping[str, object]) -> str | None:
-    """The side of the road that the mast stands on, where it is said or follows; place and facing go into `found`."""
-    side, poles = found.pop("side"), found.pop("poles")
-    if side == "median" and not road.median_m:
-        raise InputError(
-            f"{table.where('side')}: is a median, but [road] has none; allowed: with [road] carriageways = 2 and "
-            "median_m above 0"
-        )
-    if "y_m" in given and not poles:
-        ends = given["y_m"] if isinstance(given["y_m"], tuple) else (given["y_m"],)
-        there = sorted({road.side_of(end) for end in ends})
-        if side is None and road.faced_from_any_side and len(there) == 1 and there[0] != "gantry":
-            side = there[0]
-        _check_side(table.where("y_m"), there, side)
-    elif side is None and not poles and road.faced_from_any_side:
-        side = road.drives_on
-    y_m, facing = road.place(side or road.drives_on)
-    if "y_m" not in given and not poles:
-        found["y_m"] = round(y_m, 6)
-    if found["facing_deg"] is None:
-        found["facing_deg"] = math.degrees(facing)
-    return side
-
-
-def _check_side(where: str, there: Sequence[str], side: str | None) -> None:
-    """Refuse places that do not lie on the side of the road that a scene names; beside a gantry they may."""
-    if side not in (None, "gantry") and set(there) != {side}:
-        lie = " and ".join(_LIE[one] for one in there)
-        raise InputError(f"{where}: lies {lie}; allowed: {_LIE[side]}, as side says")
-
-
-def _deployment(table: TomlTable, road: StraightRoad) -> Deployment:
-    found = table.read(DEPLOYMENT | STAND)
-    poles, clearance_m = found["poles"], found.pop("clearance_m")
-    given = {key: found[key] for key in DEPLOYMENT if key in table.values}
-    side = _stand(table, road, found, given)
-    if has_lean(given, table.name):
-        found = {key: found[key] for key in DEPLOYMENT if key not in ANGLES} | dict.fromkeys(LEAN, 0.0) | given
-    else:
-        found = {key: found[key] for key in MOUNTING}
-    least = clearance_m if side == "gantry" else 0.0
-    if "height_m" not in given and least:
-        found["height_m"] = (least, max(least + _GANTRY_SPAN_M, _GANTRY_M))
-    searched = {key: found[key] for key in DEPLOYMENT if isinstance(found.get(key), tuple)}
-    _check_angles(table, searched)
-    fixed = {key: value for key, value in found.items() if key not in searched}
-    faces_road = road.faced_from_any_side and "facing_deg" not in given
-    deployment = Deployment(fixed, searched, (), None, road, side, clearance_m, faces_road)
-    if poles is None:
-        return deployment
-    if places := [key for key in ("x_m", "y_m") if key in given]:
-        raise InputError(f"{table.name}: has poles and {places[0]}; allowed: a table of places, or one place")
-    deployment = replace(deployment, poles=read_poles(poles), poles_file=poles)
-    for pole in deployment.poles:
-        _check_side(f"{poles}: pole {pole.name!r}", [road.side_of(pole.y_m)], side)
-        if "height_m" in deployment.fixed and (pole.height_min_m is None) != (pole.height_max_m is None):
-            raise InputError(
-                f"{poles}: pole {pole.name!r}: has one end of its heights, and {table.where('height_m')} none"
-            )
-        (low, high), limits = deployment.at(pole).span("height_m"), COORDINATE_LIMITS["height_m"]
-        if not limits[0] <= low <= high <= limits[1]:
-            raise InputError(
-                f"{poles}: pole {pole.name!r}: its heights are {low:g} to {high:g} m above the road; "
-                f"allowed: {limits[0]:g} to {limits[1]:g} m, the lower first"
-            )
-    return deployment
-
-
-def _check_angles(table: TomlTable, searched: Mapping[str, tuple[float, float]]) -> None:
-    """Refuse to search angles that say the same orientation in more than one way."""
-    for key in searched:
-        if key in ANGLES or key in LEAN:
-            check_degrees(table.where(key), key, searched[key])
-    width = {key: high - low for key, (low, high) in searched.items()}
-    for key in ("yaw_deg", *LEAN):
-        if width.get(key, 0.0) > 360.0:
-            raise InputError(f"{table.where(key)}: is {width[key]:g} degrees wide; allowed: at most 360, a full circle")
-    both = [key for key in ANGLES if key in searched]
-    instead = "search lean_deg and lean_direction_deg instead, which say each lean once"
-    if len(both) == len(ANGLES):
-        raise InputError(
-            f"{table.name}: {', '.join(both)}: are searched together, but yaw turns one lean into another; {instead}"
-        )
-    for key in both:
-        low, high = searched[key]
-        if key != "yaw_deg" and low < 0.0 < high and width.get("yaw_deg", 0.0) > 180.0:
-            raise InputError(
-                f"{table.where(key)}: is searched on both sides of 0 with more than 180 degrees of yaw_deg, so that "
-                f"each lean is there twice; {instead}, or one side of 0"
-            )
 
 
 def _region(
@@ -352,7 +327,7 @@ def _region(
         return region
     centre, radius = region.centre_m, region.radius_m
     if centre is None:
-        deployment = _deployment(of_file["deployment"], _road(of_file["road"]))
+        deployment = deployment_from(of_file["deployment"], _road(of_file["road"]))
         searched = ["poles"] if deployment.poles else [key for key in ("x_m", "y_m") if key in deployment.bounds]
         if searched:
             middle = ", ".join(f"{place:g}" for place in deployment.nominal_xy)

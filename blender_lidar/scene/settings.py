@@ -7,10 +7,10 @@ alone, so that help opens at once.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, is_dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, get_type_hints
+from typing import TYPE_CHECKING
 
 from ..names import (
     BARRIERS,
@@ -30,13 +30,12 @@ from ..names import (
     VIEWS,
     WARNINGS,
 )
-from ..road.straight import StraightRoad, road_map
+from ..road.straight import StraightRoad
 from ..toml_table import setting, settings_of
-from .deployment import DEPLOYMENT, HEADING, MOUNTING_OR_LEAN, STAND, Deployment
-from .mounting import COORDINATES, MOUNTED, Mounting, mounting_from
+from .deployment import DEPLOYMENT, HEADING, MOUNTING_OR_LEAN, STAND
+from .mounting import COORDINATES
 
 if TYPE_CHECKING:
-    from ..road.road_map import RoadMap
     from ..sensors.imperfections import Imperfections
 
 DATASHEET = "datasheet"  # in place of a number: the model's own
@@ -49,7 +48,6 @@ _LARGEST_WEIGHT = 1e6
 _MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT = {"low": 0.0, "high": 10.0}  # of DE-PSO; the paper's are below 1, and huge ones overflow
 _STATED_RANGE = dict(zip(("low", "high"), STATED_RANGE_LIMITS_M, strict=True))
-_FILES, _TRAFFIC_FILES = (("world", "blend"), ("world", "mesh")), ("path", "vehicle_types")
 _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9A-Fa-f:.%]+\]):(?P<port>[0-9]{1,5})", re.ASCII)
 
 
@@ -439,102 +437,18 @@ class ModelSettings:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Scenario:
-    """A whole scene, checked.
-
-    Attributes
-    ----------
-    source : str
-        The file, or what else it was read from.
-    where : callable
-        How errors name a table's key.
-    traffic : TrafficSettings
-        The recording, of several the first.
-    further_traffic : tuple of TrafficSettings
-        The others.
-    """
-
-    source: str
-    traffic: TrafficSettings
-    road: StraightRoad
-    world: WorldSettings
-    sensor: SensorSettings
-    deployment: Deployment
-    region: RegionSettings
-    baseline: Mounting
-    objective: ObjectiveSettings
-    search: SearchSettings
-    model: ModelSettings
-    where: Callable[[str, str], str] = field(repr=False, compare=False)
-    further_traffic: tuple[TrafficSettings, ...] = ()
-
-    @property
-    def recordings(self) -> tuple[TrafficSettings, ...]:
-        """All recordings."""
-        return self.traffic, *self.further_traffic
-
-    @property
-    def road_map(self) -> RoadMap:
-        """Where the lanes and the surface are."""
-        return road_map(self.road)
-
-    def mounting(self, table: Mapping[str, float | None], where: str = "mounting") -> Mounting:
-        """The mounting that some coordinates give [m, degrees], with the baseline's others: see `mounting_from`."""
-        if self.deployment.faces_road and table.get("y_m") is not None and table.get("facing_deg") is None:
-            table = {**table, "facing_deg": self.deployment.facing_at(table["y_m"])}
-        return mounting_from(table, self.road_map, self.baseline, where)
-
-    @property
-    def files(self) -> dict[tuple[str, str], str]:
-        """The files that it names, by table and key."""
-        named = {(table, key): getattr(getattr(self, table), key) for table, key in _FILES}
-        for table, recording in zip(self._traffic_tables, self.recordings, strict=True):
-            named |= {(table, key): getattr(recording, key) for key in _TRAFFIC_FILES}
-        named["deployment", "poles"] = self.deployment.poles_file
-        if self.sensor.is_file:
-            named["sensor", "name"] = self.sensor.name
-        return {place: path for place, path in named.items() if path is not None}
-
-    @property
-    def _traffic_tables(self) -> list[str]:
-        return ["traffic", *(f"traffic {number}" for number in range(2, len(self.recordings) + 1))]
-
-    def as_tables(self) -> dict[str, dict]:
-        """The scene as used, in the layout of a scene file: reading it again gives this scene.
-
-        Of several recordings the second table is called "traffic 2".
-        """
-        tables = asdict(self)
-        further = zip(self._traffic_tables[1:], tables.pop("further_traffic"), strict=True)
-        tables = {"traffic": tables["traffic"], **dict(further), **tables}
-        del tables["source"], tables["where"]
-        tables["baseline"] = {key: self.baseline.as_table()[key] for key in MOUNTED}
-        tables["deployment"] = {**self.deployment.fixed, **self.deployment.bounds}
-        if self.deployment.faces_road:
-            del tables["deployment"]["facing_deg"]
-        if self.deployment.side is not None:
-            tables["deployment"] |= {key: getattr(self.deployment, key) for key in ("side", "clearance_m")}
-        if self.deployment.poles:
-            for key in ("x_m", "y_m"):
-                del tables["deployment"][key]
-            tables["deployment"]["poles"] = self.deployment.poles_file
-        return tables
-
-    def with_whole_paths(self) -> dict[str, dict]:
-        """`as_tables` as a file has them, paths from the root on, so that they mean the same from any folder.
-
-        Several recordings are a list.
-        """
-        tables = self.as_tables()
-        for (table, key), path in self.files.items():
-            tables[table][key] = str(Path(path).resolve())
-        traffic = [tables.pop(name) for name in self._traffic_tables]
-        return {"traffic": traffic if len(traffic) > 1 else traffic[0], **tables}
-
-
-DECLARED = {name: settings_of(kind) for name, kind in get_type_hints(Scenario).items() if is_dataclass(kind)}
-DECLARED |= {"deployment": DEPLOYMENT | STAND, "baseline": MOUNTING_OR_LEAN}
+DECLARED = {
+    "traffic": settings_of(TrafficSettings),
+    "road": settings_of(StraightRoad),
+    "world": settings_of(WorldSettings),
+    "sensor": settings_of(SensorSettings),
+    "deployment": DEPLOYMENT | STAND,
+    "region": settings_of(RegionSettings),
+    "baseline": MOUNTING_OR_LEAN,
+    "objective": settings_of(ObjectiveSettings),
+    "search": settings_of(SearchSettings),
+    "model": settings_of(ModelSettings),
+}
 """The settings of each table of a scene file."""
 
 

@@ -52,11 +52,11 @@ def read_scenery(scenario: Scenario, reach_m: float, given: Sequence[Mounting] =
     files = [_near(path, world, centre, reach_m) for path in paths]
     boxes = [box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg)) for item in world.boxes]
     road = scenario.road_map
-    barriers = [along_road(road, barrier(item.kind, item.y_m, item.x_m)) for item in world.barriers]
-    s = road.locate(np.array([centre])).s_m[0]
-    beside = clutter(road, world.clutter, world.clutter_seed, s, reach_m, _may_hang(scenario, given))
+    barriers = [along_road(road, barrier(item.kind, item.y_m, road.stations(item.x_m))) for item in world.barriers]
+    stretch = road.stretch(centre, reach_m)
+    beside = clutter(road, world.clutter, world.clutter_seed, stretch, _may_hang(scenario, given))
     if world.ground and not road.surface.is_flat:
-        barriers.append(road_surface(road, (s - reach_m, s + reach_m)))
+        barriers.append(road_surface(road, stretch))
     return join([*files, *(item.within(centre, reach_m) for item in [*boxes, *barriers, beside])])
 
 
@@ -274,10 +274,9 @@ def scoring_of(scenario: Scenario) -> Scoring:
     """What a scene makes of what is seen."""
     asked, road = scenario.objective, scenario.road_map
     region = region_of(scenario.region, road)
-    middle, reach = road.locate(np.array([region.centre_xy])).s_m[0], region.radius_m
-    edges, _ = road.lines((middle - reach, middle + reach))
+    edges, _ = road.lines(road.stretch(region.centre_xy, region.radius_m))
     outline = np.concatenate([edges[0], edges[-1][::-1]]).tolist()
-    field = Field(region.centre_xy, reach, tuple(map(tuple, outline)))
+    field = Field(region.centre_xy, region.radius_m, tuple(map(tuple, outline)))
     return Scoring(asked.threshold, asked.view, asked.loss, asked.reading, asked.metric, field)
 
 

@@ -354,8 +354,8 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
 def _with_barrier(site: Site, y_m: float) -> Site:
     """The site with a concrete barrier along its whole region besides what stands there."""
     observation, road = site.observation, site.scenario.road_map
-    s = road.locate(np.array([site.region.centre_xy])).s_m[0]
-    more = along_road(road, barrier("concrete", y_m, (s - site.reach_m, s + site.reach_m)))
+    stations = road.stations(road.stretch(site.region.centre_xy, site.reach_m))
+    more = along_road(road, barrier("concrete", y_m, stations))
     standing = observation.scenery or StandingScenery(join([]), observation.caster)
     return replace(site, observation=replace(observation, scenery=standing.beside(more)))
 

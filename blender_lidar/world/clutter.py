@@ -26,8 +26,7 @@ def clutter(
     road: RoadMap,
     strength: float,
     seed: int,
-    centre_m: float,
-    reach_m: float,
+    s_m: tuple[float, float],
     keep_clear: Sequence[tuple[Sequence[float], Sequence[float]]],
 ) -> Scenery:
     """Roadside clutter along a stretch of road, to its right and to its left.
@@ -40,14 +39,14 @@ def clutter(
         How much there is: with 1 the rates of `_KINDS`, with 2 twice as much.
     seed : int
         What else it depends on.
-    centre_m, reach_m : float
-        Station of the middle of the stretch, and how far it goes to each side [m].
+    s_m : (float, float)
+        Stations of its ends [m].
     keep_clear : sequence of (low, high)
         Corners x, y of rectangles in which the LiDAR may hang [m]: nothing stands within 2.5 m of one.
     """
     clear = [(np.asarray(low) - _CLEAR_M, np.asarray(high) + _CLEAR_M) for low, high in keep_clear]
     parts = []
-    first, last = (math.floor((centre_m + side * reach_m) / _CELL_M) for side in (-1, 1))
+    first, last = (math.floor(end / _CELL_M) for end in s_m)
     for cell in range(first, last + 1):
         for side in (0, 1):
             for number, kind in enumerate(_KINDS):

@@ -35,7 +35,7 @@ def along_road(road: RoadMap, made: Scenery) -> Scenery:
     return replace(made, corners=np.concatenate([xy, made.corners[..., 2:]], axis=-1))
 
 
-def barrier(kind: str, y_m: float, x_m: tuple[float, float]) -> Scenery:
+def barrier(kind: str, y_m: float, x_m: Sequence[float]) -> Scenery:
     """A barrier that stands along the line y = `y_m` from one x to another [m], beside a straight road.
 
     Parameters
@@ -44,16 +44,15 @@ def barrier(kind: str, y_m: float, x_m: tuple[float, float]) -> Scenery:
         A median barrier of New Jersey's profile, or a W-beam on posts.
     y_m : float
         Its middle line.
-    x_m : (float, float)
-        Where it begins and ends, the lower first.
+    x_m : sequence of float
+        Where it begins, has corners once `along_road` has moved it, and ends, in rising order.
     """
     if kind not in BARRIERS:
         raise unknown_name(kind, BARRIERS, "barrier")
     name = f"{kind} at y {y_m:g} m"
     if kind == "concrete":
         return structure(name, _extruded(_CONCRETE, y_m, x_m))
-    first, last = x_m
-    posts = np.arange(first, last, _POST_SPACING_M)
+    posts = np.arange(x_m[0], x_m[-1], _POST_SPACING_M)
     standing = [box("post", (x, y_m, _POST_SIZE_M[2] / 2), _POST_SIZE_M).corners for x in posts + 0.5 * _POST_SIZE_M[0]]
     return structure(name, np.concatenate([_extruded(_RAIL, y_m, x_m), *standing]))
 

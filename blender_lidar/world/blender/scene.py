@@ -237,8 +237,8 @@ def empty_scene() -> bpy.types.Scene:
 
 def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     """Build a moment in a scene, in place of one that was built there earlier; objects of others stay."""
-    reach, s = max(_LEAST_REACH_M, moment.range_gate_m), float(moment.road.locate(moment.pose.position[None]).s_m[0])
-    build_road(scene, moment.road, (s - reach, s + reach))
+    reach = max(_LEAST_REACH_M, moment.range_gate_m)
+    build_road(scene, moment.road, moment.road.stretch(moment.pose.position[:2], reach))
     build_scenery(scene, moment.scenery)
     show_vehicles(scene, moment.vehicles, moment.detail)
     lidar = build_lidar(scene, moment.lattice, moment.pose)
