@@ -27,7 +27,6 @@ VIEW_AXES = ((0, 1), (0, 2), (1, 2))  # (row axis, column axis) of top, side, fr
 _MOST_CELLS = 20_000  # along a side: a millimetre of a long truck; a view of more does not fit into memory
 _WHOLE_CELL_TOLERANCE = 1e-9  # a box of 4.50 m is 90 cells of 0.05 m, though 4.5 / 0.05 is rounded
 _CHUNK_POINTS = 1 << 15  # points whose temporaries stay in cache
-_WORDS_TO_SUM = 255  # of eight bytes, each 0 or 1: the sum of so many overflows no byte
 
 _take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
@@ -59,9 +58,8 @@ def cell_counts(size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> np.ndarray:
 class ViewGrids:
     """Occupancy grids of the three views of each of n boxes (Eqs. 6 to 8), made once for any number of clouds.
 
-    Points are not sorted: every point marks its cells in one array, in which each grid begins at a whole 64-bit word.
-    In NumPy a cell is a byte, and eight at a time are then summed as one number; in compiled code, which takes over
-    where Numba is installed, it is a bit.
+    Points are not sorted: every point marks its cells in one array, in which each grid begins at a multiple of 64
+    cells. In NumPy a cell is a byte; in compiled code, which takes over where Numba is installed, it is a bit.
 
     Parameters
     ----------
@@ -77,7 +75,7 @@ class ViewGrids:
     cells : ndarray of int64, (3, n)
         Cells along each side of each box.
     start, words : ndarray of int64, (3, n)
-        Bit at which each grid begins in the array of bits, by view and box, and how many words of 64 bits it has.
+        Cell at which each grid begins in the array of cells, by view and box, and how many words of 64 cells it has.
     half_m : ndarray, (3, n)
         Half of the boxes' sides [m].
     cell_m : float
@@ -103,14 +101,6 @@ class ViewGrids:
         grids = np.stack([self.cells[row] * self.cells[column] for row, column in VIEW_AXES])
         self.words = -(-grids // 64)
         self.start = 64 * (np.cumsum(self.words) - self.words.ravel()).reshape(3, -1)
-        words = -(-grids // 8).ravel()
-        first_word = np.cumsum(words) - words
-        self._byte, self._bytes = (8 * first_word).reshape(3, -1), 8 * int(words.sum())
-        # Each grid is summed in parts.
-        parts = -(-words // _WORDS_TO_SUM)
-        self._first_part = np.cumsum(parts) - parts
-        part = np.arange(parts.sum()) - np.repeat(self._first_part, parts)
-        self._part_start = np.repeat(first_word, parts) + _WORDS_TO_SUM * part
 
     def __len__(self) -> int:
         return len(self._whole)
@@ -133,14 +123,15 @@ class ViewGrids:
             mark_points(points, vehicle, self.half_m, self.cell_m, self.cells, self.start, bits)
             count_cells(bits, self.start, self.words, counts)
             return self.shares(counts)
-        marks = np.zeros(self._bytes, dtype=np.uint8)
+        marks = np.zeros(64 * int(self.words.sum()), dtype=np.uint8)
         for first in range(0, len(points), _CHUNK_POINTS):
             chunk = slice(first, first + _CHUNK_POINTS)
             cell, count, kept = self._cells_of(points[chunk], vehicle[chunk])
-            start = _take(self._byte, kept, axis=1)
+            start = _take(self.start, kept, axis=1)
             for view, (row, column) in enumerate(VIEW_AXES):
                 marks[(cell[row] * count[column] + cell[column]).astype(np.int64) + start[view]] = 1
-        return self.shares(self._marked(marks))
+        marked = np.add.reduceat(marks, self.start.ravel(), dtype=np.int64) if len(self) else np.zeros(0)
+        return self.shares(marked.reshape(3, -1).T)
 
     def shares(self, counts: np.ndarray) -> np.ndarray:
         """P of views (Eq. 7) from the marked cells of each box's views, both (..., n, 3)."""
@@ -166,11 +157,3 @@ class ViewGrids:
     def no_bits(self, clouds: int) -> np.ndarray:
         """For compiled code a bit for each cell of each cloud, none of them set: uint64, (clouds, words)."""
         return np.zeros((clouds, int(self.words.sum())), dtype=np.uint64)
-
-    def _marked(self, marks):
-        """Marked cells of each box's views, (n, 3)."""
-        if not len(self):
-            return np.zeros((0, 3), dtype=np.int64)
-        of_part = np.add.reduceat(marks.view(np.uint64), self._part_start).view(np.uint8)
-        of_part = of_part.reshape(-1, 8).sum(axis=1, dtype=np.int64)
-        return np.add.reduceat(of_part, self._first_part).reshape(3, -1).T
