@@ -58,7 +58,7 @@ def crowded(scene):
     places = np.concatenate([frame.centre_m[frame.counted, :2] for frame in scene.frames])
 
     def score(returns):
-        origin, boxes = returns.view.mountings.origin_m[:, None, :2], returns.view.boxes
+        origin, boxes = returns.view.origin_m[:, None, :2], returns.view.boxes
         own, others = (np.linalg.norm(xy - origin, axis=2) for xy in (boxes.centre_m[boxes.counted, :2], places))
         return (others[:, None] < own[..., None]).sum(axis=2).ravel()
 

@@ -12,7 +12,7 @@ import pytest
 import tests.research  # noqa: F401
 from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
-from blender_lidar.metrics.metric import Field, Mountings, SceneContext, VehicleReturns, View
+from blender_lidar.metrics.metric import Field, SceneContext, VehicleReturns, View
 from blender_lidar.run.verdict import map_scores
 from blender_lidar.scene.mounting import Mast, Mounting
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
@@ -139,10 +139,9 @@ def test_each_mounting_is_valued_once_for_all_frames_however_many_are_scored_tog
 
     score = SceneScore(context(), lambda known: known, value)
     origin = np.array([[0.0, 0.0, height] for height in (2.0, 3.0, 4.0, 5.0)])
-    mountings = Mountings(origin, np.stack([np.eye(3)] * 4))
     for frame in (*FRAMES, *FRAMES):
         n = 4 * frame.counted.sum()
-        view = View(mountings, frame.boxes)
+        view = View(origin, np.stack([np.eye(3)] * 4), frame.boxes)
         returns = VehicleReturns(np.ones((n, 3)), np.zeros(n, dtype=np.int64), np.zeros((n, 3)), view=view)
         assert score(returns).reshape(4, -1)[:, 0].tolist() == [2.0, 3.0, 4.0, 5.0]
     assert asked == [2.0, 3.0, 4.0, 5.0]

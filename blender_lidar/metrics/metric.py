@@ -46,11 +46,10 @@ class FrameBoxes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mountings:
-    """Where s LiDARs of one model hang, each alone.
+class View:
+    """Poses of s LiDARs of one model, each alone, and the frame that they look at.
 
-    One object serves all frames that are scored under the same mountings: what depends on these alone can be kept for
-    as long as the same object comes again.
+    Rows of a metric are its counted vehicles, mounting after mounting.
 
     Attributes
     ----------
@@ -58,28 +57,12 @@ class Mountings:
         Optical centres [m].
     rotation : ndarray, (s, 3, 3)
         Turns rows of directions from the sensor's frame into the road frame: ``directions @ rotation``.
-    """
-
-    origin_m: np.ndarray
-    rotation: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.origin_m)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """One frame's counted vehicles under s mountings: rows of a metric, mounting after mounting.
-
-    Attributes
-    ----------
-    mountings : Mountings
-        From where they are looked at.
     boxes : FrameBoxes
         The frame.
     """
 
-    mountings: Mountings
+    origin_m: np.ndarray
+    rotation: np.ndarray
     boxes: FrameBoxes
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..metrics.catalogue import metric_named
-from ..metrics.metric import NEEDS_POINTS, NEEDS_VIEW, Mountings, SceneContext, VehicleReturns, View
+from ..metrics.metric import NEEDS_POINTS, NEEDS_VIEW, SceneContext, VehicleReturns, View
 from ..optimise.objective import detectable, vehicle_score
 from ..scene.observation import CountedFrame, Observation, Scoring
 from ..sensors.pose import Pose
@@ -91,7 +91,7 @@ def _rows(metric, frame, scorer, seen: Seen, layouts, noticed) -> VehicleReturns
     points, owner = (None, None) if seen.returns is None else seen.returns
     if NEEDS_VIEW in metric.needs:
         rotation = np.array([pose.rotation for (pose,) in layouts]).reshape(-1, 3, 3)
-        view = View(Mountings(origin.reshape(-1, 3), rotation), frame.boxes)
+        view = View(origin.reshape(-1, 3), rotation, frame.boxes)
     return VehicleReturns(
         size_m=np.tile(vehicles.size_m, (len(layouts), 1)),
         count=seen.points.reshape(-1),

@@ -39,7 +39,6 @@ from blender_lidar.metrics.metric import (
     NEEDS_VIEW,
     FrameBoxes,
     Metric,
-    Mountings,
     VehicleReturns,
     View,
     vehicle_returns,
@@ -245,7 +244,7 @@ def expected_visibility(frames: Sequence[FrameBoxes]) -> Callable[[VehicleReturn
 
     def visibility(returns: VehicleReturns) -> np.ndarray:
         boxes = returns.view.boxes
-        (origin,) = returns.view.mountings.origin_m
+        (origin,) = returns.view.origin_m
         way = grid.centres(inside(boxes)) - origin
         beams = way / np.linalg.norm(way, axis=1, keepdims=True)
         reached = reach_probability(grid, prior, origin, beams, 160.0)
@@ -269,7 +268,7 @@ def cars_of(folder: Path, name: str, clearance_m: float) -> tuple[VehicleReturns
     local = to_vehicle_frame(frame.points[inside], boxes.centre_m, boxes.heading_rad, row[inside])
     distance_m = np.hypot(boxes.centre_m[:, 0], boxes.centre_m[:, 1])
     placed = FrameBoxes(0, boxes.centre_m, boxes.size_m, boxes.heading_rad, np.ones(len(boxes), dtype=bool))
-    view = View(Mountings(np.zeros((1, 3)), np.eye(3)[None]), placed)
+    view = View(np.zeros((1, 3)), np.eye(3)[None], placed)
     returns = replace(vehicle_returns(local, row[inside], boxes.size_m, distance_m), view=view)
     label = (folder / "label_2" / f"{name}.txt").read_text(encoding="utf-8").splitlines()
     sight = np.arctan2(boxes.centre_m[:, 1], boxes.centre_m[:, 0])

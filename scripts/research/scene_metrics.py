@@ -214,12 +214,13 @@ class SceneScore:
 
     def __call__(self, returns: VehicleReturns) -> np.ndarray:
         """The value of each vehicle's frame under each mounting, (s n,)."""
-        mountings, boxes = returns.view.mountings, returns.view.boxes
+        view = returns.view
         if not len(returns):
             return np.zeros(0)
-        most = max(_MOUNTINGS_KEPT, len(mountings))
-        of_frames = [self._of(*mount, most) for mount in zip(mountings.origin_m, mountings.rotation, strict=True)]
-        return np.repeat([value[self._row[boxes.frame]] for value in of_frames], np.count_nonzero(boxes.counted))
+        most = max(_MOUNTINGS_KEPT, len(view.origin_m))
+        of_frames = [self._of(*mount, most) for mount in zip(view.origin_m, view.rotation, strict=True)]
+        row, counted = self._row[view.boxes.frame], np.count_nonzero(view.boxes.counted)
+        return np.repeat([value[row] for value in of_frames], counted)
 
     @cached_property
     def _ready(self):
