@@ -20,7 +20,7 @@ from ..sensors.pose import Pose
 from ..traffic.vehicles import Vehicles
 from ..world.shapes import shape
 from ..world.triangles import place, shape_names
-from .protocol import Caster, Revolution
+from .protocol import Caster, Revolution, take
 
 PIECE_LENGTH_M = 1.8
 _RAYS_AT_A_TIME = 1 << 14  # of several mountings: enough to amortise NumPy's calls, few enough for the cache
@@ -163,7 +163,7 @@ def ray_directions(lattice: BeamLattice, beams: np.ndarray, pose: Pose) -> np.nd
     """Directions (3, k) in the road frame of beams given by their flat indices (k,)."""
     components = lattice.components.reshape(3, -1)
     if not numba_works():
-        return pose.to_world(np.take(components, beams, axis=1, mode="clip").T).T
+        return pose.to_world(take(components, beams, axis=1).T).T
     from .kernels import directions_of
 
     directions = np.empty((3, len(beams)))
@@ -202,7 +202,7 @@ def _cast_together(tree, group, max_range):
     origin = origins[0] if len(group) == 1 else np.repeat(np.array(origins).T, np.diff(ends, prepend=0), axis=1).T
     beams, directions = np.concatenate(beams), np.concatenate(directions, axis=1)
     found = tree.meet(origin, directions.T, max_range)
-    beams, directions = (np.take(values, found.ray, axis=-1, mode="clip") for values in (beams, directions))
+    beams, directions = (take(values, found.ray, axis=-1) for values in (beams, directions))
     for first, last in pairwise([0, *np.searchsorted(found.ray, ends).tolist()]):
         mine = slice(first, last)
         yield Revolution(beams[mine], found.triangle[mine], found.distance[mine], directions[:, mine])

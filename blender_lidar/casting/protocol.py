@@ -23,7 +23,7 @@ _UNIT_TOLERANCE = 1e-6
 _LEAST_HEIGHT = 1e-12  # of a triangle, relative to its size and coordinates: what is flatter is rounding, not area
 FARTHEST = 1e30  # [m]: finite in float32 too, so that an infinite distance is no hit at any range
 
-_take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
+take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
 _ROUNDING = 16.0 * float(np.finfo(float).eps)
 
@@ -142,8 +142,8 @@ class TrianglePlanes:
         """An affine function of each triangle: from the origin to its 0, and its growth along the ray."""
         *slopes, offset = self._functions[4 * function : 4 * function + 4]
         shared = origins.ndim == 1
-        missing = _take(offset - dot(slopes, origins) if shared else offset, triangle)
-        slopes = [_take(slope, triangle) for slope in slopes]
+        missing = take(offset - dot(slopes, origins) if shared else offset, triangle)
+        slopes = [take(slope, triangle) for slope in slopes]
         return missing if shared else missing - dot(slopes, origins), dot(slopes, directions)
 
 

@@ -11,15 +11,7 @@ import numpy as np
 from ..errors import InputError, unknown_name
 from ..plugins import IN_A_FILE, called, faults_in_one_line, is_plugin, load_plugin
 from . import vehicle_metrics as vehicle
-from .metric import (
-    NEEDS_DETECTABLE,
-    NEEDS_DISTANCE,
-    NEEDS_POINTS,
-    Metric,
-    SceneContext,
-    Score,
-    VehicleReturns,
-)
+from .metric import NEEDS_DETECTABLE, NEEDS_DISTANCE, NEEDS_POINTS, Metric, SceneContext, Score, VehicleReturns
 
 # --- What each tells of a vehicle, to end a sentence ------------------------------------------------------------------
 
@@ -52,7 +44,7 @@ _VIEWS = "sum of the views' occupancies"
 PE_VGOP = _of_vehicle("pe-vgop", "PE-VGOP", "bits", vehicle.view_entropy, f"how much {_HIT}")
 VIEW_COVERAGE = _of_points("view-coverage", "view coverage", "", vehicle.view_coverage, f"how much {_HIT}, from 0 to 1")
 _DETECTABLE = _of_vehicle(
-    *("detectable", "detectable share", "", vehicle.detectable_share, _ENOUGH, 1), needs=[NEEDS_DETECTABLE]
+    "detectable", "detectable share", "", vehicle.detectable_share, _ENOUGH, 1, needs=[NEEDS_DETECTABLE]
 )
 _ALL = (
     PE_VGOP,
@@ -67,14 +59,12 @@ _ALL = (
     _voxel_entropy(0.2),
     _of_points("voxel-occupancy", "share of occupied voxels", "", vehicle.voxel_occupancy, _IN_VOXELS, 5),
     _of_points(
-        *("voxel-occupancy-entropy", "voxel occupancy entropy", "bits"), vehicle.voxel_occupancy_entropy, _AS_ENTROPY, 4
+        "voxel-occupancy-entropy", "voxel occupancy entropy", "bits", vehicle.voxel_occupancy_entropy, _AS_ENTROPY, 4
     ),
     _of_vehicle(
-        *("ap-entropy", "entropy of the position", "nats"), vehicle.ap_entropy, _UNSURE_PLACE, lower_is_better=True
+        "ap-entropy", "entropy of the position", "nats", vehicle.ap_entropy, _UNSURE_PLACE, lower_is_better=True
     ),
-    _of_vehicle(
-        *("distance", "distance", "m"), vehicle.distance, _AWAY, 2, needs=[NEEDS_DISTANCE], lower_is_better=True
-    ),
+    _of_vehicle("distance", "distance", "m", vehicle.distance, _AWAY, 2, needs=[NEEDS_DISTANCE], lower_is_better=True),
 )
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
 

@@ -270,7 +270,7 @@ class Metric:
         return values if self.higher_is_better else -values
 
     @property
-    def told_unit(self) -> str:
+    def shown_unit(self) -> str:
         """Unit of shown values: that of its values, or per cent."""
         return "%" if self.of_share else self.unit
 
@@ -289,7 +289,7 @@ class Metric:
 
     def amount(self, value: float, more: int = 0, sign: str = "-") -> str:
         """The same with the unit behind it."""
-        return f"{self.number(value, more, sign)} {self.told_unit}".rstrip()
+        return f"{self.number(value, more, sign)} {self.shown_unit}".rstrip()
 
     def difference(self, value: float, sign: str = "-") -> str:
         """A difference of values with its unit."""
@@ -301,7 +301,7 @@ class Metric:
 
     def in_unit(self, what: str) -> str:
         """What a column or an axis shows, with the unit in brackets."""
-        return f"{what} [{self.told_unit}]" if self.told_unit else what
+        return f"{what} [{self.shown_unit}]" if self.shown_unit else what
 
 
 def metric(

@@ -41,13 +41,9 @@ def view_coverage(returns: VehicleReturns) -> np.ndarray:
 
 def coverage(shares: np.ndarray) -> np.ndarray:
     """C, (...), of the occupancies P of top, side and front view, (..., 3), from 0 to 1."""
-    top, side, front = np.moveaxis(saturated(shares, HALF_SHARE), -1, 0)
+    saturated = (1.0 + HALF_SHARE) * shares / (shares + HALF_SHARE)  # s
+    top, side, front = np.moveaxis(saturated, -1, 0)
     return (top + np.hypot(side, front)) / (1.0 + math.sqrt(2.0))
-
-
-def saturated(shares: np.ndarray, half_share: float) -> np.ndarray:
-    """s of each occupancy, in the shape of `shares`; the smaller h is, the sooner a view saturates."""
-    return (1.0 + half_share) * shares / (shares + half_share)
 
 
 # --- Metrics from the shares of a vehicle's three views that the beams hit --------------------------------
@@ -203,14 +199,14 @@ def voxel_entropy(returns: VehicleReturns, voxel_m: float) -> np.ndarray:
     return np.maximum(np.log2(seen) - crowding / seen, 0.0)
 
 
-def voxel_occupancy(returns: VehicleReturns, voxel_m: float = OCCUPANCY_VOXEL_M) -> np.ndarray:
+def voxel_occupancy(returns: VehicleReturns) -> np.ndarray:
     """Share q of all the box's voxels that hold a return, (n,).
 
     Never less for one more return. Only the surface of a vehicle returns, and one side of it, so that q stays far below
     1, and the farther the larger the vehicle.
     """
-    row, _ = _filled(returns, voxel_m)
-    return np.bincount(row, minlength=len(returns)) / cell_counts(returns.size_m, voxel_m).prod(axis=1)
+    row, _ = _filled(returns, OCCUPANCY_VOXEL_M)
+    return np.bincount(row, minlength=len(returns)) / cell_counts(returns.size_m, OCCUPANCY_VOXEL_M).prod(axis=1)
 
 
 def voxel_occupancy_entropy(returns: VehicleReturns) -> np.ndarray:

@@ -77,8 +77,10 @@ class CompiledScorer:
         The frame, in which at least one vehicle counts, behind a caster other than `exact`.
     grids : ViewGrids
         Of the vehicles that count.
-    observations, measurements : sequence
-        `Observation` and `MeasurementModel` of this frame of each LiDAR of a layout; the scenery is that of the first.
+    observation : Observation
+        The LiDARs of a layout, and the scenery as it stands in this frame.
+    measurements : sequence of MeasurementModel
+        Of each LiDAR in this frame.
     """
 
     def __init__(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from ..casting import EXACT, caster_class
 from ..casting.culling import Pieces, cut_vehicles, revolutions
-from ..casting.protocol import Revolution, dot
+from ..casting.protocol import Revolution, dot, take
 from ..compiled import numba_works
 from ..metrics.vgop import to_vehicle_frame
 from ..metrics.view_grids import ViewGrids
@@ -19,13 +19,13 @@ from ..sensors.pose import Pose
 from ..signals import stops_recognised
 from ..traffic.vehicles import Vehicles
 from ..world.meshes import GLASS, REFLECTIVITY
-from ..world.triangles import Triangles, vehicle_triangles
+from ..world.triangles import vehicle_triangles
 
 # --- The vehicles of a frame as shapes, ready to be cast against: made once for any sensor and mounting ---
 
 
 class FrameShapes:
-    """A frame at one level of detail, behind one caster.
+    """Triangles of a frame's vehicles at one level of detail, in the tree of one caster.
 
     Parameters
     ----------
@@ -37,8 +37,6 @@ class FrameShapes:
         Level of detail, of `world.shapes.DETAILS`.
     caster : str
         A name of `casting.CASTERS`.
-    triangles : Triangles, optional
-        What is cast against; the vehicles at that level of detail if left out.
 
     Attributes
     ----------
@@ -54,12 +52,10 @@ class FrameShapes:
         What each triangle is made of, an index into `world.meshes.SURFACES`.
     """
 
-    def __init__(
-        self, vehicles: Vehicles, counted: np.ndarray, detail: str, caster: str, triangles: Triangles | None = None
-    ) -> None:
+    def __init__(self, vehicles: Vehicles, counted: np.ndarray, detail: str, caster: str) -> None:
         self.frame, self.detail, self.caster = vehicles.frame, detail, caster
         self.counted = vehicles.select(counted)
-        triangles = triangles or vehicle_triangles(vehicles, detail)
+        triangles = vehicle_triangles(vehicles, detail)
         self.owner, self.surface = triangles.owner, triangles.surface
         rows = np.append(np.where(counted, np.cumsum(counted) - 1, -1), -1)  # the last is that of `STATIC`
         self.counted_row = rows[triangles.owner].astype(np.int64)
@@ -72,8 +68,6 @@ class FrameShapes:
 
 
 # --- The frame scorer -------------------------------------------------------------------------------------------------
-
-_take = partial(np.take, mode="clip")  # rows are in range: without that check twice as fast in NumPy 2
 
 
 class Seen(NamedTuple):
@@ -180,15 +174,15 @@ class FrameScorer:
     def returns_of(self, pose: Pose, hits: Revolution, lidar: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Returns of one LiDAR from counted vehicles, as `vehicle_points`, given what its beams met."""
         scenery, measurement = self._observation.scenery, self._measurements[lidar]
-        row = _take(self.shapes.counted_row, hits.triangle)
+        row = take(self.shapes.counted_row, hits.triangle)
         surface = self._surface(hits) if measurement.asks_for_surface else ()
         distance = measurement.measured(hits.beam, hits.distance, *surface)
         wanted = np.flatnonzero((row >= 0) & (distance < np.inf))
-        directions = _take(hits.directions, wanted, axis=1)
+        directions = take(hits.directions, wanted, axis=1)
         if scenery is not None:
-            shown = ~scenery.hides(pose.position, directions.T, _take(hits.distance, wanted))
+            shown = ~scenery.hides(pose.position, directions.T, take(hits.distance, wanted))
             wanted, directions = wanted[shown], directions[:, shown]
-        distance, row = _take(distance, wanted), _take(row, wanted)
+        distance, row = take(distance, wanted), take(row, wanted)
         return self._in_vehicle_frames(pose.position, directions, distance, row), row
 
     def _in_vehicle_frames(self, origin, directions, distance, row) -> np.ndarray:
@@ -207,7 +201,7 @@ class FrameScorer:
 
     def _surface(self, hits):
         """Whether hits are on glass, their reflectivity and the cosine of their incidence."""
-        surface = _take(self.shapes.surface, hits.triangle)
+        surface = take(self.shapes.surface, hits.triangle)
         cosine = np.abs(dot(self.shapes.tree.normals(hits.triangle).T, hits.directions))
         return surface == GLASS, REFLECTIVITY[surface], cosine
 

@@ -42,11 +42,6 @@ class LidarModel(Datasheet):
     fire_time_s: np.ndarray
 
     @property
-    def block_time_s(self) -> float:
-        """Time between firing columns [s]; the shortest one where their number is chosen."""
-        return self.block_time_us * 1e-6
-
-    @property
     def rings(self) -> int:
         """Number of beams in one firing column."""
         return len(self.elevation_rad)
@@ -77,7 +72,7 @@ class LidarModel(Datasheet):
             The sensor does not have that rate.
         """
         rate = self.rotation_rate(rotation_hz)
-        return self.default_columns or round(1.0 / (rate * self.block_time_s))
+        return self.default_columns or round(1.0 / (rate * (self.block_time_us * 1e-6)))
 
     @property
     def assumptions(self) -> dict[str, str]:
