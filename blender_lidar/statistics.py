@@ -58,6 +58,36 @@ def degrees_of_freedom(stratum: np.ndarray) -> int:
     return 0 if len(stratum) < FEWEST_BLOCKS or counts.min() < 2 else int((counts - 1).sum())
 
 
+def drawn_blocks(
+    vehicles: np.ndarray, seed: int, stratum: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, int] | None:
+    """Block bootstrap of the blocks that have vehicles: which these are, their weights, and the degrees of freedom.
+
+    Parameters
+    ----------
+    vehicles : ndarray, (b,)
+        Of each block, or the sum of their weights.
+    seed : int
+        For the resampling.
+    stratum : ndarray, (b,), optional
+        Recording of each block, where there are several.
+
+    Returns
+    -------
+    filled : ndarray of bool, (b,)
+    weights : ndarray, (resamples, filled blocks)
+        As of `resampled_weights`.
+    degrees : int
+        Of `degrees_of_freedom`; None in place of all three where there are too few blocks.
+    """
+    filled = vehicles > 0
+    strata = np.zeros(int(filled.sum())) if stratum is None else stratum[filled]
+    degrees = degrees_of_freedom(strata)
+    if not degrees:
+        return None
+    return filled, resampled_weights(len(strata), np.random.default_rng(seed), stratum=strata), degrees
+
+
 def interval_90(values: np.ndarray) -> tuple[float, float]:
     """The middle 90 % of resampled values."""
     low, high = np.quantile(values, [0.05, 0.95])
@@ -84,16 +114,13 @@ def statistic_interval_90(
 
     Student's t times the resampled standard deviation: with few blocks, percentiles of resamples cover too little (80 %
     instead of 90 % with five). `statistic` takes how often each block counts, (r, b), and gives its value for each of
-    the r. `stratum` (b,) is the recording of each block, where there are several. None where `degrees_of_freedom` finds
-    too few blocks with vehicles.
+    the r. `stratum` (b,) is the recording of each block, where there are several. None for too few blocks.
     """
-    filled = vehicles > 0
-    strata = np.zeros(int(filled.sum())) if stratum is None else stratum[filled]
-    degrees = degrees_of_freedom(strata)
-    if not degrees:
+    if (drawn := drawn_blocks(vehicles, seed, stratum)) is None:
         return None
+    filled, of_filled, degrees = drawn
     weights = np.zeros((RESAMPLES, len(filled)))
-    weights[:, filled] = resampled_weights(len(strata), np.random.default_rng(seed), stratum=strata)
+    weights[:, filled] = of_filled
     reach = student_t_95(degrees) * float(np.std(statistic(weights)))
     middle = float(statistic(np.ones((1, len(filled))))[0])
     return middle - reach, middle + reach
@@ -122,15 +149,12 @@ def many_to_one_reach_90(
     Returns
     -------
     ndarray, (k,)
-        The first is 0; None where `degrees_of_freedom` finds too few blocks with vehicles.
+        The first is 0; None for too few blocks with vehicles.
     """
-    filled = weight > 0
-    strata = np.zeros(int(filled.sum())) if stratum is None else stratum[filled]
-    degrees = degrees_of_freedom(strata)
-    if not degrees:
+    if (drawn := drawn_blocks(weight, seed, stratum)) is None:
         return None
+    filled, counts, degrees = drawn
     objective, weight = objective[:, filled], weight[filled]
-    counts = resampled_weights(len(strata), np.random.default_rng(seed), stratum=strata)
     resampled = counts @ objective.T / (counts @ weight)[:, None]
     off = resampled - resampled[:, :1] - (objective - objective[0]).sum(axis=1) / weight.sum()
     error = off.std(axis=0)

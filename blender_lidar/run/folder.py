@@ -24,10 +24,10 @@ from ..files import (
     open_file,
     read_text,
     reading,
+    to_csv,
     write_columns,
     write_text,
 )
-from ..metrics.catalogue import PE_VGOP
 from ..scene.provenance import check_identity
 from ..scene.scenario import Scenario
 from ..toml_table import to_toml
@@ -168,16 +168,12 @@ class RunFolder:
     @cached_property
     def optimised(self) -> dict[str, np.ndarray]:
         """The vehicle table of the run's mounting, searched and held-out frames."""
-        with refused_by_name(self.file(RESULT)):
-            metric = self.result["metric"]
-        return self.read_vehicles(VEHICLES, metric)
+        return self._read_vehicles(VEHICLES)
 
     @cached_property
     def baseline(self) -> dict[str, np.ndarray]:
         """That of the baseline: the same vehicles in the same order."""
-        with refused_by_name(self.file(RESULT)):
-            metric = self.result["metric"]
-        found = self.read_vehicles(VEHICLES_BASELINE, metric)
+        found = self._read_vehicles(VEHICLES_BASELINE)
         if any(not np.array_equal(found[key], self.optimised[key]) for key in ("frame", "vehicle_id", "split")):
             raise InputError(f"{self.file(VEHICLES_BASELINE)}: lists other vehicles than {VEHICLES}")
         return found
@@ -216,8 +212,7 @@ class RunFolder:
         names = [
             key for key in dict.fromkeys(key for row in rows for key in row) if key not in ("deployment", "holdout")
         ]
-        texts = {key: ["" if row.get(key) is None else str(row[key]) for row in rows] for key in names}
-        write_columns(self.file(RANKING), {key: np.array(column, dtype=object) for key, column in texts.items()})
+        write_text(self.file(RANKING), to_csv(names, ([row.get(key) for key in names] for row in rows)))
 
     def write_score_map(self, score_map: ScoreMap) -> None:
         """Write the objective over height and tilt, one row for each grid point."""
@@ -244,8 +239,10 @@ class RunFolder:
         with _columns_of(self.file(HISTORY)) as columns:
             return np.column_stack([*columns.values()])
 
-    def read_vehicles(self, name: str, metric: str = PE_VGOP.name) -> dict[str, np.ndarray]:
-        """The vehicle table of a run with a metric; `name` is `VEHICLES` or `VEHICLES_BASELINE`."""
+    def _read_vehicles(self, name):
+        """The vehicle table of a file."""
+        with refused_by_name(self.file(RESULT)):
+            metric = self.result["metric"]
         with _columns_of(self.file(name)) as columns:
             table = {key: columns[key] for key in columns_for(metric, WEIGHT in columns)}
             for key, values in table.items():

@@ -196,9 +196,8 @@ def fresh_search(scenario: Scenario, space: SearchSpace, evaluations: int | None
         settings = {key: getattr(use, key) for key in own} | {"reading": scenario.objective.reading}
     elif use.method == Hardened.name:
         settings = {"particles": use.particles}
-    box = np.array(space.lower), np.array(space.upper)
-    budget = evaluations or use.particles * use.iterations
-    return make_search(use.method, *box, seed=use.seed, evaluations=budget, periodic=space.periodic, **settings)
+    settings |= {"seed": use.seed, "evaluations": evaluations or use.particles * use.iterations}
+    return make_search(use.method, space.lower, space.upper, periodic=space.periodic, **settings)
 
 
 def fresh_auto_search(site: Site, space: SearchSpace) -> MultiFidelitySearch:
@@ -214,12 +213,6 @@ def fresh_auto_search(site: Site, space: SearchSpace) -> MultiFidelitySearch:
 def screening(variables: int) -> int:
     """Evaluations on the cheapest rung before halving begins."""
     return 20 + 40 * variables
-
-
-def asked_objective(site: Site, space: SearchSpace, evaluator: Evaluator, asked: Asked) -> np.ndarray:
-    """Objective of each candidate on each frame that a search over several fidelities asks for, (s, frames)."""
-    fidelity = None if asked.fidelity == Fidelity(site.observation.detail) else asked.fidelity
-    return evaluator.totals([space.layout(row) for row in asked.x], asked.frames, fidelity).objective
 
 
 def rung_costs(search: MultiFidelitySearch) -> list[dict[str, object]]:
@@ -252,7 +245,9 @@ class _SearchedObjective:
     def __call__(self, asked: np.ndarray | Asked) -> np.ndarray:
         """Of mountings as planned: (s,), or (s, frames) where a search over several fidelities asks."""
         if isinstance(asked, Asked):
-            return asked_objective(self._site, self._space, self._evaluator, asked)
+            fidelity = None if asked.fidelity == Fidelity(self._site.observation.detail) else asked.fidelity
+            layouts = [self._space.layout(row) for row in asked.x]
+            return self._evaluator.totals(layouts, asked.frames, fidelity).objective
         objective = self._evaluator.totals([self._space.layout(row) for row in asked]).objective
         blocks = block_sums(objective, self._site.plan.search_block)
         self._blocks |= {row.tobytes(): sums for row, sums in zip(asked, blocks, strict=True)}
@@ -266,9 +261,8 @@ class _SearchedObjective:
     def by_block(self, searches: Sequence[Search]) -> tuple[np.ndarray, np.ndarray]:
         """All mountings that were tried, (n, d), and their objective in each block, (n, b)."""
         x = np.concatenate([search.history[:, 3:-2] for search in searches])
-        unknown = np.array(
-            [row.tobytes() not in self._blocks for row in x]
-        )  # those of a run that this one goes on with
+        # Those of a run that this one goes on with.
+        unknown = np.array([row.tobytes() not in self._blocks for row in x])
         for start in range(0, int(unknown.sum()), _BATCH):
             self(x[unknown][start : start + _BATCH])
         return x, np.array([self._blocks[row.tobytes()] for row in x])
@@ -296,9 +290,8 @@ def _polish(
     if reached - search.best_value <= _EQUAL * abs(reached):
         return None
     start = np.array(_on_map(space, score_map, search.best_x.tolist()))
-    box = np.array(space.lower), np.array(space.upper)
     budget = min(_POLISH * len(start), use.particles * use.iterations)
-    polish = Polish(*box, start=start, seed=use.seed, evaluations=budget, periodic=space.periodic)
+    polish = Polish(space.lower, space.upper, start=start, seed=use.seed, evaluations=budget, periodic=space.periodic)
     polish.label, polish.variables = ", ".join(filter(None, [label, polish.label])), search.variables
     return polish
 

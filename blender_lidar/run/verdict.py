@@ -19,14 +19,7 @@ from ..scene.mounting import Layout
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.scores import Scored
-from ..statistics import (
-    block_sums,
-    degrees_of_freedom,
-    interval_90,
-    many_to_one_reach_90,
-    of_blocks,
-    resampled_weights,
-)
+from ..statistics import block_sums, drawn_blocks, interval_90, many_to_one_reach_90, of_blocks
 from ..traffic.vehicles import Vehicles
 from .tolerance import Judged, ToleranceLosses, judged_rows, losses_over_tolerance
 
@@ -170,8 +163,8 @@ def rank_places(
         Of each pole its table's values, ``deployment``, ``height_on_pole_m`` above its foot, scores on the searched
         frames and in ``holdout``, there with ``difference_to_best``, its ``interval_90``, which hold for all poles
         together (see `many_to_one_reach_90`), and whether that leaves nought out, ``differs``, by more than what
-        breaks ties. ``holdout`` is None
-        where nothing was held out, the interval and ``differs`` where there are too few blocks, and for the best.
+        breaks ties. ``holdout`` is None where nothing was held out, the interval and ``differs`` where there are too
+        few blocks, and for the best.
     best : int
         Which of the poles is the first row.
     """
@@ -191,7 +184,10 @@ def rank_places(
         (place,), (mounting,) = spaces[number].places, plans[number]
         pole = place.pole
         row = {
-            **{"rank": rank + 1, "name": pole.name, "foot_z_m": pole.foot_z_m, "cost": pole.cost},
+            "rank": rank + 1,
+            "name": pole.name,
+            "foot_z_m": pole.foot_z_m,
+            "cost": pole.cost,
             "existing": pole.existing,
             "deployment": mounting.as_table(),
             "height_on_pole_m": mounting.height_m - pole.foot_z_m,
@@ -271,10 +267,9 @@ class ScoreMap:
 
     def optimum_intervals_90(self, seed: int) -> dict[str, tuple[float, float]] | None:
         """90 % intervals of the best height and tilt under block resampling; None for too few blocks."""
-        blocks, strata = len(self.block_vehicles), self.block_recording
-        if not degrees_of_freedom(np.zeros(blocks) if strata is None else strata):
+        if (drawn := drawn_blocks(self.block_vehicles, seed, self.block_recording)) is None:
             return None
-        resampled = self.best_under(resampled_weights(blocks, np.random.default_rng(seed), stratum=strata))
+        resampled = self.best_under(drawn[1])
         return {axis: interval_90(values) for axis, values in zip(self.axes, resampled, strict=True)}
 
 
@@ -367,11 +362,9 @@ def best_intervals_90(
     list of (float, float), d
         None for too few blocks that have vehicles.
     """
-    filled = block_weight > 0
-    strata = np.zeros(int(filled.sum())) if stratum is None else stratum[filled]
-    if not degrees_of_freedom(strata):
+    if (drawn := drawn_blocks(block_weight, seed, stratum)) is None:
         return None
-    weights = resampled_weights(len(strata), np.random.default_rng(seed), stratum=strata)
+    filled, weights, _ = drawn
     per_block, best = block_objective[:, filled].T, np.empty(len(weights), dtype=int)
     for start in range(0, len(weights), _RESAMPLES_AT_ONCE):  # each divides all by the same vehicles
         part = slice(start, start + _RESAMPLES_AT_ONCE)
@@ -436,7 +429,6 @@ VEHICLE_COLUMNS = (
 VEHICLE_COLUMNS += ("distance_m", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable", "lane", "split")
 METRIC_VALUE = "metric_value"
 """The column of the chosen metric, in its own unit, where that is another than PE-VGOP: that one is `entropy_bits`."""
-
 
 WEIGHT = "weight"
 """The column of how much a vehicle counts in the objective, where the scene has weights."""
