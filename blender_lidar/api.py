@@ -111,7 +111,7 @@ def _absolute(path: object) -> object:
 
 
 class _Heard:
-    """Listens to a run: keeps the best point so far, which is wanted if it is stopped, and passes progress on.
+    """Progress listener: keeps the best point so far, which is wanted if the run is stopped, and passes progress on.
 
     `progress` is True for a bar, or a function, as for `best_mounting`.
     """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -12,6 +12,7 @@ RESAMPLES = 2000
 FEWEST_BLOCKS = 3  # with fewer no interval is given
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _LARGEST_PROBABILITY = 1.0 - 1e-9
+_RESAMPLES_AT_ONCE = 100  # of many mountings: all at once may fill the memory
 _HALVINGS = 60  # of the angle: as near as floats come
 
 
@@ -31,7 +32,7 @@ def of_blocks(values: np.ndarray, block: np.ndarray) -> np.ndarray:
 def resampled_weights(
     blocks: int, rng: np.random.Generator, resamples: int = RESAMPLES, stratum: np.ndarray | None = None
 ) -> np.ndarray:
-    """How often each block is drawn in each resample, (resamples, blocks).
+    """Weights of the block bootstrap: how often each block is drawn in each resample, (resamples, blocks).
 
     One block fewer is drawn than there are: with few blocks the plain bootstrap is too narrow by the factor sqrt((b -
     1) / b), and this rescaling (Rao and Wu 1988) mends it. With several strata, `stratum` (blocks,), blocks are drawn
@@ -89,13 +90,13 @@ def drawn_blocks(
 
 
 def interval_90(values: np.ndarray) -> tuple[float, float]:
-    """The middle 90 % of resampled values."""
+    """Percentile interval: the middle 90 % of resampled values."""
     low, high = np.quantile(values, [0.05, 0.95])
     return float(low), float(high)
 
 
 def ratio_interval_90(numerator: np.ndarray, denominator: np.ndarray, seed: int) -> tuple[float, float] | None:
-    """90 % interval of sum(numerator) / sum(denominator), from the sums of each block (b,).
+    """90 % bootstrap interval of a ratio, sum(numerator) / sum(denominator), from the sums of each block (b,).
 
     Blocks whose denominator is 0 say nothing and are left out; None for fewer than `FEWEST_BLOCKS`.
     """
@@ -110,7 +111,7 @@ def statistic_interval_90(
     seed: int,
     stratum: np.ndarray | None = None,
 ) -> tuple[float, float] | None:
-    """90 % interval of a statistic of blocks, of which each has so many vehicles, (b,).
+    """90 % bootstrap interval of a statistic of blocks, of which each has so many vehicles, (b,).
 
     Student's t times the resampled standard deviation: with few blocks, percentiles of resamples cover too little (80 %
     instead of 90 % with five). `statistic` takes how often each block counts, (r, b), and gives its value for each of
@@ -163,8 +164,51 @@ def many_to_one_reach_90(
     return student_t(min(probability, _LARGEST_PROBABILITY), degrees) * error
 
 
+def best_intervals_90(
+    x: np.ndarray,
+    block_objective: np.ndarray,
+    block_weight: np.ndarray,
+    answer: np.ndarray,
+    periodic: Sequence[bool],
+    seed: int,
+    stratum: np.ndarray | None = None,
+) -> list[tuple[float, float]] | None:
+    """90 % interval of each coordinate of the best mounting of those that were tried, under block resampling.
+
+    Parameters
+    ----------
+    x : ndarray, (n, d)
+        What was tried.
+    block_objective : ndarray, (n, b)
+        Objective of each in each block of time.
+    block_weight : ndarray, (b,)
+        Vehicles of each block, or the sum of their weights.
+    answer : ndarray, (d,)
+        About which a coordinate that is a full circle is given, `periodic` (d,).
+    seed : int
+        For the resampling of blocks.
+    stratum : ndarray, (b,), optional
+        Recording of each block, where there are several.
+
+    Returns
+    -------
+    list of (float, float), d
+        None for too few blocks that have vehicles.
+    """
+    if (drawn := drawn_blocks(block_weight, seed, stratum)) is None:
+        return None
+    filled, weights, _ = drawn
+    per_block, best = block_objective[:, filled].T, np.empty(len(weights), dtype=int)
+    for start in range(0, len(weights), _RESAMPLES_AT_ONCE):  # each divides all by the same vehicles
+        part = slice(start, start + _RESAMPLES_AT_ONCE)
+        best[part] = np.argmax(weights[part] @ per_block, axis=1)
+    found = x[best]
+    turned = answer + np.mod(found - answer + 180.0, 360.0) - 180.0
+    return [interval_90(values) for values in np.where(periodic, turned, found).T]
+
+
 def linear_interval_90(middle: float, influence: np.ndarray) -> tuple[float, float] | None:
-    """90 % interval of a ratio of sums over blocks, by how far each block moves it, (b,); None for too few blocks.
+    """90 % interval of a ratio of sums by linearisation, from how far each block moves it, (b,); None for too few.
 
     The ratio is taken as linear in the blocks (Cochran 1977, section 6.4): where there is little to divide by it is
     nothing at all in some resamples.

@@ -7,9 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from blender_lidar.run.verdict import best_intervals_90
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.statistics import interval_90, resampled_weights
+from blender_lidar.statistics import best_intervals_90, interval_90, resampled_weights
 from tests.refusals import refused
 from tests.small_scene import MAPPED, REGION, cli, done, without_charts, without_times, write_scene
 

@@ -109,7 +109,7 @@ class ExactSearch:
 
 
 def _pierced(along, towards, radius):
-    """Whether rays pierce spheres, whose middles lie at `towards` (..., 3) from the origin and at `along` the ray."""
+    """Ray-sphere test; the spheres' middles lie at `towards` (..., 3) from the origin and at `along` the ray."""
     square = np.einsum("...i,...i->...", towards, towards)
     least = square * (1.0 - _SLACK) - radius * radius  # of the square of `along`
     return along * np.abs(along) >= np.where(least > 0.0, least, -np.inf)  # from within a sphere any ray

@@ -124,7 +124,7 @@ _LOOSE = 1e-9  # relative: and are entered so much sooner and left so much later
 
 
 class BoxTree(NamedTuple):
-    """The tree as compiled code takes it; without any triangle `order` is empty."""
+    """Bounding volume hierarchy as compiled code takes it; without any triangle `order` is empty."""
 
     low: np.ndarray
     high: np.ndarray
@@ -184,7 +184,7 @@ class RayTree:
 
 
 def _along_curve(places: np.ndarray) -> np.ndarray:
-    """Where places (n, 3) come along the curve, (n,)."""
+    """Morton codes: where places (n, 3) come along the curve, (n,)."""
     low, span = places.min(axis=0), np.ptp(places, axis=0)
     cell = ((places - low) / np.where(span > 0.0, span, 1.0) * ((1 << _BITS) - 1)).astype(np.int64)
     code = np.zeros(len(places), dtype=np.int64)

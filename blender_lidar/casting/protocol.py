@@ -151,7 +151,7 @@ class TrianglePlanes:
 
 
 class Hits(NamedTuple):
-    """What rays met first.
+    """First hits of rays.
 
     Attributes
     ----------
@@ -166,7 +166,7 @@ class Hits(NamedTuple):
 
 
 class Returns(NamedTuple):
-    """The rays that met something.
+    """First hits, of those rays alone that met something.
 
     Attributes
     ----------
@@ -184,7 +184,7 @@ class Returns(NamedTuple):
 
 
 class Revolution(NamedTuple):
-    """What the beams of one revolution met.
+    """First hits of the beams of one revolution.
 
     Attributes
     ----------
@@ -275,7 +275,7 @@ class Caster(ABC):
 
     @cached_property
     def ray_tree(self) -> RayTree:
-        """The compiled tree in float64 of the triangles with area, at least one."""
+        """Compiled bounding volume hierarchy in float64 of the triangles with area, at least one."""
         from .kernels import RayTree
 
         return RayTree(self._corners, self._planes.rows, self._exact)
@@ -373,7 +373,7 @@ def _unusable(numbers):
 
 
 class StandingScenery:
-    """What stands still, made ready to be cast against; its tree is made at the first cast and not pickled.
+    """Occluders that stand still, ready to be cast against; their tree is made at the first cast and not pickled.
 
     Parameters
     ----------
@@ -416,7 +416,7 @@ class StandingScenery:
         return self.tree.origin, self.tree.ray_tree.boxes if len(self.tree.rows) else NO_BOXES
 
     def met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
-        """What rays from an `origin` (3,) [m] along unit `directions` (n, 3) meet first within `reach_m` [m].
+        """First hits of rays from an `origin` (3,) [m] along unit `directions` (n, 3) within `reach_m` [m].
 
         Returns
         -------
@@ -434,7 +434,7 @@ class StandingScenery:
         return found.ray, found.distance, self.scenery.surface[found.triangle], cosine
 
     def hides(self, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """Whether something stands nearer than a distance along rays, (n,) bool.
+        """Occlusion test: whether something stands nearer than a distance along rays, (n,) bool.
 
         Parameters
         ----------

@@ -87,7 +87,7 @@ _RADIUS_ROUNDING = 1e-12  # relative: what rounding may take off a radius
 
 
 def mesh_of(corners: np.ndarray) -> Mesh:
-    """Triangles `corners` (m, 3, 3) [m], at least one, with the vertices that they share."""
+    """Indexed mesh of triangles `corners` (m, 3, 3) [m], at least one, with the vertices that they share."""
     flat = np.ascontiguousarray(corners.reshape(-1, 3)) + 0.0  # -0 becomes 0: they are the same place
     row, first = _same_places(flat.view(np.uint64), 1 << int(2 * len(flat) - 1).bit_length())
     vertices, faces = flat[first], row.reshape(-1, 3)
@@ -105,7 +105,7 @@ def mesh_of(corners: np.ndarray) -> Mesh:
 
 @compiled
 def _same_places(bits, size):
-    """Row of the first equal place for each of (n, 3), numbered as they come, and which places came first."""
+    """By a hash table: row of the first equal place for each of (n, 3), numbered as they come, and which came first."""
     table = np.full(size, -1, dtype=np.int32)
     row, first, found = np.empty(len(bits), dtype=np.int32), np.empty(len(bits), dtype=np.int32), 0
     for i in range(len(bits)):

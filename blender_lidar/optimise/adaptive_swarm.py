@@ -166,6 +166,6 @@ class AdaptiveSwarm:
 
 
 def reflected(target: np.ndarray) -> np.ndarray:
-    """Points folded back into the unit box at its walls, however far outside they lie."""
+    """Reflecting bounds: points folded back into the unit box at its walls, however far outside they lie."""
     folded = np.mod(target, 2.0)
     return np.where(folded > 1.0, 2.0 - folded, folded)

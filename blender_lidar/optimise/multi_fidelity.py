@@ -339,7 +339,7 @@ def climb_starts(x: np.ndarray, objective: np.ndarray, block: np.ndarray, *, lik
 
 
 def peaks(x: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Rows of the candidates (s, d), in shares of the box, that are the best within 0.15 about them, the best first."""
+    """Local maxima: rows of the candidates (s, d), in shares of the box, that are the best within 0.15, best first."""
     order = np.argsort(-values, kind="stable")
     return np.array(
         [row for place, row in enumerate(order) if not (_away(x[order[:place]], x[row]) <= _BASIN).any()], dtype=int
@@ -378,13 +378,13 @@ def diverse(x: np.ndarray, values: np.ndarray, count: int, distance: float, take
 
 
 def survivors(objective: np.ndarray, block: np.ndarray, most: int) -> np.ndarray:
-    """Rows of at most so many candidates (s, f), the best first, none of which is clearly behind the best."""
+    """Race: rows of at most so many candidates (s, f), the best first, none of which is clearly behind the best."""
     order = np.argsort(-objective.sum(axis=1), kind="stable")[:most]
     return order[~clearly_behind(objective[order], block, most - 1)]
 
 
 def clearly_behind(objective: np.ndarray, block: np.ndarray, compared: int) -> np.ndarray:
-    """Which candidates (s, f) are clearly behind the first, the best; none of them with too few blocks of time.
+    """One-sided t-test: which candidates (s, f) are clearly behind the first, the best; none with too few blocks.
 
     Clearly is by more than the one-sided bound of the difference, whose standard error is that of its sums over blocks:
     all candidates have met the same vehicles, so what they share falls away. With so many compared, the bound is such

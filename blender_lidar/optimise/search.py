@@ -93,7 +93,7 @@ def _numbers(values: np.ndarray, what: str) -> np.ndarray:
 
 
 def wrapped(step: np.ndarray, periodic: np.ndarray, period: np.ndarray | float = 1.0) -> np.ndarray:
-    """Steps (..., d), the short way round where a variable is `periodic` (d,); the others as they are."""
+    """Minimum image: steps (..., d), the short way round where a variable is `periodic` (d,); others as they are."""
     return np.where(periodic, step - period * np.round(step / period), step)
 
 
@@ -112,7 +112,10 @@ def latin_hypercube(rng: np.random.Generator, points: int, lower: np.ndarray, up
 
 
 def distinct_donors(i: np.ndarray, j: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Donors j and k of particles i, all three different, from draws out of those that are left: one less, two less."""
+    """Donors j and k of a differential mutation of particles i, all three different.
+
+    They are made of draws out of those that are left: one less, two less.
+    """
     j = j + (j >= i)
     k = k + (k >= np.minimum(i, j))
     return j, k + (k >= np.maximum(i, j))

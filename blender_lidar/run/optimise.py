@@ -24,7 +24,7 @@ from ..scene.scenario import Scenario
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
-from ..statistics import block_sums, of_blocks
+from ..statistics import best_intervals_90, block_sums, of_blocks
 from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, RunFolder
 from .replay import Listener, Replay
 from .tolerance import JUDGED_BASE, SEARCHED_BASE, best_over_tolerance, objective_over
@@ -34,7 +34,6 @@ from .verdict import (
     NOMINAL,
     ROBUST,
     ScoreMap,
-    best_intervals_90,
     judge,
     judge_over_tolerance,
     map_scores,

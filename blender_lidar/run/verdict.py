@@ -23,7 +23,6 @@ from ..statistics import block_sums, drawn_blocks, interval_90, many_to_one_reac
 from ..traffic.vehicles import Vehicles
 from .tolerance import Judged, ToleranceLosses, judged_rows, losses_over_tolerance
 
-_RESAMPLES_AT_ONCE = 100  # of many mountings: all at once may fill the memory
 REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
 BASELINE_NAME = "baseline"
 NOMINAL, ROBUST = "sharp", "robust"  # mountings and their searches, as planned and over a tolerance, in result.json
@@ -331,51 +330,8 @@ def map_scores(
     )
 
 
-def best_intervals_90(
-    x: np.ndarray,
-    block_objective: np.ndarray,
-    block_weight: np.ndarray,
-    answer: np.ndarray,
-    periodic: Sequence[bool],
-    seed: int,
-    stratum: np.ndarray | None = None,
-) -> list[tuple[float, float]] | None:
-    """90 % interval of each coordinate of the best mounting of those that were tried, under block resampling.
-
-    Parameters
-    ----------
-    x : ndarray, (n, d)
-        What was tried.
-    block_objective : ndarray, (n, b)
-        Objective of each in each block of time.
-    block_weight : ndarray, (b,)
-        Vehicles of each block, or the sum of their weights.
-    answer : ndarray, (d,)
-        About which a coordinate that is a full circle is given, `periodic` (d,).
-    seed : int
-        For the resampling of blocks.
-    stratum : ndarray, (b,), optional
-        Recording of each block, where there are several.
-
-    Returns
-    -------
-    list of (float, float), d
-        None for too few blocks that have vehicles.
-    """
-    if (drawn := drawn_blocks(block_weight, seed, stratum)) is None:
-        return None
-    filled, weights, _ = drawn
-    per_block, best = block_objective[:, filled].T, np.empty(len(weights), dtype=int)
-    for start in range(0, len(weights), _RESAMPLES_AT_ONCE):  # each divides all by the same vehicles
-        part = slice(start, start + _RESAMPLES_AT_ONCE)
-        best[part] = np.argmax(weights[part] @ per_block, axis=1)
-    found = x[best]
-    turned = answer + np.mod(found - answer + 180.0, 360.0) - 180.0
-    return [interval_90(values) for values in np.where(periodic, turned, found).T]
-
-
 def map_verdict(score_map: ScoreMap, verdict: Mapping[str, dict], found: str, seed: int) -> dict:
-    """The landscape in numbers; shares of the gain are None where nothing is better than the baseline.
+    """The score map in numbers, regret of the search among them; shares of the gain are None without a gain.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Many mountings over many frames, spread over processes, of one machine or several.
+"""Evaluation of many mountings over many frames, spread over processes, of one machine or several.
 
 A frame's result does not depend on which process computed it nor on what else was asked: casters decide hits in
 float64, though they may search in another type. So the number of workers changes the time that a run takes and nothing
@@ -32,7 +32,7 @@ _GOLDEN = (5.0**0.5 - 1.0) / 2.0  # multiples of it are spread evenly, any run o
 
 @dataclass(frozen=True, slots=True)
 class Workplace:
-    """Where to work; it changes the time that a run takes and nothing else.
+    """Processes of this machine, or the workers of a cluster; they change the time that a run takes and nothing else.
 
     Attributes
     ----------
@@ -106,6 +106,8 @@ class Totals(NamedTuple):
 class Evaluator:
     """Scores layouts over a fixed list of frames.
 
+    Use it as a context manager: leaving it ends the processes, or leaves the cluster.
+
     Parameters
     ----------
     frames : sequence of CountedFrame
@@ -120,8 +122,6 @@ class Evaluator:
         Address of a dask scheduler, whose workers are used instead.
     held_out : sequence of CountedFrame
         Further frames for the same processes, scored apart: by `held_out`.
-
-    Use it as a context manager: leaving it ends the processes, or leaves the cluster.
 
     Attributes
     ----------

@@ -75,7 +75,7 @@ class Fidelity:
 
 
 def evenly_spread(of: int, kept: int) -> np.ndarray:
-    """Which `kept` of so many rows lie in the middle of equal stretches of them, (kept,) int."""
+    """Systematic sample: which `kept` of so many rows lie in the middle of equal stretches of them, (kept,) int."""
     return ((np.arange(kept) + 0.5) * of / kept).astype(int)
 
 

@@ -1,4 +1,4 @@
-"""What is made of what mountings see: each vehicle's value by the chosen metric, and what it adds to the objective."""
+"""Scores of what mountings see: each vehicle's value by the chosen metric, and what it adds to the objective."""
 
 from __future__ import annotations
 

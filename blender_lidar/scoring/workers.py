@@ -174,9 +174,10 @@ class Workers:
 
 
 def _tapered(items: int, processes: int, least: int, most: int) -> list[int]:
-    """Sizes of calls for so many processes, that each take half of what is left to them, within `least` and `most`.
+    """Loop scheduling by factoring: sizes of calls of which each process takes half of what is left to it.
 
-    One item of each is left to the end, even if `least` is more: the last call is the small one.
+    They stay within `least` and `most`. One item of each is left to the end, even if `least` is more: the last call is
+    the small one.
     """
     sizes: list[int] = []
     while items:

@@ -11,7 +11,7 @@ from .imperfections import PERFECT, Imperfections, MeasurementModel
 
 @dataclass(frozen=True, slots=True)
 class Lidar:
-    """What hangs, wherever it does.
+    """A LiDAR wherever it hangs: beams, range gate and imperfections.
 
     Attributes
     ----------
