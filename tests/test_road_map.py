@@ -86,9 +86,9 @@ def test_a_carriageway_has_two_edges_and_lines_between_its_lanes(road):
 
 
 def test_the_edges_beside_a_place_lie_across_all_lanes():
-    right, left = road_map(STRAIGHT).beside((4.0, 7.0))
+    right, left = road_map(STRAIGHT).edges_across((4.0, 7.0))
     np.testing.assert_allclose([right, left], [[4.0, 2.0], [4.0, 12.5]], atol=1e-5)
-    right, left = arc().beside((60.0 * math.sin(0.5), 60.0 - 60.0 * math.cos(0.5)))
+    right, left = arc().edges_across((60.0 * math.sin(0.5), 60.0 - 60.0 * math.cos(0.5)))
     for place, radius in ((right, 61.75), (left, 54.75)):
         assert np.hypot(place[0], place[1] - 60.0) == pytest.approx(radius, abs=0.01)
 
@@ -175,6 +175,6 @@ def test_on_a_bend_a_slanted_heading_changes_nothing_within_one_lane():
 
 def test_across_a_loop_that_comes_back_the_edges_beside_a_place_are_found():
     ring = arc(radius=10.0, turn_rad=2.0 * math.pi - 0.01, lanes=1, width=9.0)
-    right, left = ring.beside((10.0, 10.0))
+    right, left = ring.edges_across((10.0, 10.0))
     assert np.hypot(*(right - (0.0, 10.0))) == pytest.approx(14.5, abs=0.02)
     assert np.hypot(*(left - (0.0, 10.0))) == pytest.approx(5.5, abs=0.02)

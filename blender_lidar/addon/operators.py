@@ -18,7 +18,7 @@ from ..names import CLOUD_SUFFIXES
 from ..run.folder import RunFolder
 from ..run.optimise import evaluate_site
 from ..scene.mount_checks import check_mount_is_clear
-from ..scene.mounting import Mounting, mounting_from
+from ..scene.mounting import Mounting, changed_mounting, mounting_from
 from ..scene.scenario import Scenario, load_scenario, scenario_of, shipped_scenes
 from ..scene.site import lattice_of, prepare, read_recordings, standing_scenery
 from ..sensors.pose import Pose
@@ -146,7 +146,7 @@ def _take_over(operator, context, path):
     found = session.active_lidar(scene)
     if found is None:  # where what is not searched is as the file says
         fixed = scenario.deployment.places[0].fixed
-        found = add_lidar(scene, properties.changed_mounting(scenario.baseline, fixed, scenario.road_map).pose)
+        found = add_lidar(scene, changed_mounting(scenario.baseline, scenario.road_map, **fixed).pose)
     session.fill_lidar(found, tables, folder, scenario)
     dress(found, lattice_of(scenario.sensor))
     select(context, found)

@@ -28,7 +28,7 @@ from ..names import METRIC_NAMES
 from ..road.road_map import RoadMap
 from ..road.straight import StraightRoad, road_map
 from ..scene.deployment import MOUNTING_OR_LEAN, SEARCHED
-from ..scene.mounting import COORDINATES, LEANS, Mounting, hung_at, mounting_from
+from ..scene.mounting import COORDINATES, LEANS, Mounting, changed_mounting, hung_at, mounting_from
 from ..scene.settings import DECLARED, GATE
 from ..sensors.model import model_names
 from ..toml_table import Setting, limits_text
@@ -323,7 +323,7 @@ def _pose_setter(key):
     def put(group, value):
         lidar = group.id_data
         given = {key: exact(value, key)}
-        hang(lidar, changed_mounting(mounting_of(lidar), given, road_of(scene_of(lidar))).pose)
+        hang(lidar, changed_mounting(mounting_of(lidar), road_of(scene_of(lidar)), **given).pose)
 
     return put
 
@@ -346,13 +346,6 @@ def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None) -> Mountin
     hung = hung_at(pose_of(lidar), road, math.radians(filed.get("facing_deg", 90.0)))
     table = hung.as_table()
     return mounting_from({key: round(table[key], _POSE_DIGITS) + 0.0 for key in COORDINATES}, road, hung)
-
-
-def changed_mounting(mounting: Mounting, given: Mapping[str, float], road: RoadMap) -> Mounting:
-    """A mounting with the coordinates that are given [m, degrees]; of a lean the others stay as they are."""
-    if given.keys() & set(LEANS):
-        given = {key: value for key, value in mounting.as_table().items() if key in LEANS} | dict(given)
-    return mounting_from(given, road, mounting)
 
 
 def straight_road(scene: bpy.types.Scene | None) -> StraightRoad:

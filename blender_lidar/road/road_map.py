@@ -172,18 +172,18 @@ class RoadMap:
 
     def nearest(self, xy: Sequence[float]) -> np.ndarray:
         """The nearest place on the middle of each lane, (l, 2) [m]."""
-        stations = (self._with(np.array([lane])).locate(np.array([xy])).s_m[0] for lane in range(len(self)))
+        stations = (self._along(lane, xy)[0] for lane in range(len(self)))
         return np.array([self.at(s, self.offset_m[lane], lane) for lane, s in enumerate(stations)])
 
     def clearance(self, xy: Sequence[float]) -> tuple[float, str]:
         """How far a place lies from the nearest edge of a lane [m], below 0 on it, and on which side of its traffic."""
-        at, alone = self.locate(np.array([xy])), (self._with(np.array([lane])) for lane in range(len(self)))
-        off = np.array([one.locate(np.array([xy])).t_m[0] for one in alone]) - self.offset_m
-        nearest = int(np.argmin(np.abs(off) - 0.5 * self.width_m)) if at.lane[0] < 0 else int(at.lane[0])
+        on = int(self.locate(np.array([xy])).lane[0])
+        off = np.array([self._along(lane, xy)[1] for lane in range(len(self))]) - self.offset_m
+        nearest = int(np.argmin(np.abs(off) - 0.5 * self.width_m)) if on < 0 else on
         left = (off[nearest] > 0.0) != bool(self.against[nearest])
         return float(abs(off[nearest]) - 0.5 * self.width_m[nearest]), "left" if left else "right"
 
-    def beside(self, xy: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    def edges_across(self, xy: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
         """The edges of the road across from a place on a lane, to the right and to the left of it, (2,) each [m]."""
         found = []
         for side in (-1.0, 1.0):
@@ -192,10 +192,10 @@ class RoadMap:
             crossed = set()  # around a bend the way across may come back
             while lane >= 0 and lane not in crossed:
                 crossed.add(lane)
-                only = self._with(np.array([lane])).locate(place[None])
-                turn = only.heading_rad[0] + math.pi * self.against[lane]
+                _, t, heading = self._along(lane, place)
+                turn = heading + math.pi * self.against[lane]
                 left = np.array([-math.sin(turn), math.cos(turn)])
-                edge = place + (self.offset_m[lane] + side * 0.5 * self.width_m[lane] - only.t_m[0]) * left
+                edge = place + (self.offset_m[lane] + side * 0.5 * self.width_m[lane] - t) * left
                 place = edge + side * _BESIDE_M * left
                 lane = self.locate(place[None]).lane[0]
             found.append(edge)
@@ -211,7 +211,7 @@ class RoadMap:
             line = self._between(lane, s_m)
             if len(line):
                 half = 0.5 * self.width_m[lane]
-                polygons.append(np.concatenate([_beside(line, -half), _beside(line, half)[::-1]]))
+                polygons.append(np.concatenate([_offset_curve(line, -half), _offset_curve(line, half)[::-1]]))
         return polygons
 
     def lines(self, s_m: tuple[float, float]) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -222,13 +222,18 @@ class RoadMap:
             if not len(line):
                 continue
             for side in (-half, half):
-                beside = _beside(line, side)
+                beside = _offset_curve(line, side)
                 others = self._with(np.delete(np.arange(len(self)), lane))
-                if not len(others) or (others.locate(_beside(line, 1.001 * side)).lane < 0).all():
+                if not len(others) or (others.locate(_offset_curve(line, 1.001 * side)).lane < 0).all():
                     edges.append(beside)
                 elif side > 0.0:  # one of both lanes draws it
                     dashes.append(beside)
         return edges, dashes
+
+    def _along(self, lane: int, xy: Sequence[float]) -> tuple[float, float, float]:
+        """Station and offset of a place along one lane [m], on it or not, and which way the lane drives there [rad]."""
+        _, *found = self._with(np.array([lane])).locate(np.array([xy]))
+        return tuple(float(one[0]) for one in found)
 
     def _with(self, lanes: np.ndarray) -> RoadMap:
         """The same road with some of its lanes alone."""
@@ -261,8 +266,8 @@ class RoadMap:
         return self.at(self.stations(s_m, lane), self.offset_m[lane], lane)
 
 
-def _beside(line: np.ndarray, offset_m: float) -> np.ndarray:
-    """A line (k, 2) moved to its left by an offset [m], mitred at its corners."""
+def _offset_curve(line: np.ndarray, offset_m: float) -> np.ndarray:
+    """Offset curve: a line (k, 2) moved to its left by so much [m], mitred at its corners."""
     along = np.diff(line, axis=0)
     along /= np.hypot(*along.T)[:, None]
     left = np.stack([-along[:, 1], along[:, 0]], axis=1)

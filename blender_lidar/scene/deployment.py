@@ -173,7 +173,7 @@ class Place:
 
     @property
     def label(self) -> str:
-        """What tells it from other candidate places; nothing where there is one place."""
+        """What it is called among other candidate places; nothing where there is one place."""
         return "" if self.pole is None else f"pole {self.pole.name}"
 
     @property

@@ -92,7 +92,7 @@ def _reach(scenario: Scenario, where: str, mount: Place | Mounting) -> _Reach:
     places = _places(road, low[:2], high[:2])
     over = places[road.within(places)]
     if len(over) and scenario.deployment.side != "gantry":
-        right, left = (np.round(edge, 3) + 0.0 for edge in road.beside(over[0]))
+        right, left = (np.round(edge, 3) + 0.0 for edge in road.edges_across(over[0]))
         raise InputError(
             f"{said} stands on the carriageway; allowed: off the lanes, such as x {right[0]:g}, y {right[1]:g} m or x "
             f'{left[0]:g}, y {left[1]:g} m, or [deployment] side = "gantry"'

@@ -203,7 +203,7 @@ def mounting_from(
     return _leaning(hung, table)
 
 
-def changed(mounting: Mounting, road: RoadMap, **coordinates: float) -> Mounting:
+def changed_mounting(mounting: Mounting, road: RoadMap, **coordinates: float) -> Mounting:
     """A mounting with some coordinates changed [m, degrees]; another lean keeps direction and spin."""
     kept = {}
     if coordinates.keys() & set(LEANS):

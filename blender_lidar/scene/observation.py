@@ -121,13 +121,15 @@ def vehicle_weights(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndar
     """
     if not objective.class_weights and not objective.zones:
         return None
-    weight = np.array([objective.class_weights.get(name, 1.0) for name in vehicles.class_name.tolist()])
-    free = np.ones(len(vehicles), dtype=bool)
-    for zone in objective.zones:
-        inside = free & polygon_holds(zone.polygon_m, vehicles.centre_m[:, :2])
-        weight[inside] *= zone.weight
-        free &= ~inside
-    return weight
+    of_class = np.array([objective.class_weights.get(name, 1.0) for name in vehicles.class_name.tolist()])
+    of_zones = np.array([*(zone.weight for zone in objective.zones), 1.0])
+    return of_class * of_zones[_first_zone(objective, vehicles.centre_m[:, :2])]
+
+
+def _first_zone(objective: ObjectiveSettings, xy: np.ndarray) -> np.ndarray:
+    """Row of the first zone that holds each place (n, 2) [m], (n,) int; their number where none does."""
+    holds = [polygon_holds(zone.polygon_m, xy) for zone in objective.zones]
+    return np.argmax([*holds, np.ones(len(xy), dtype=bool)], axis=0)
 
 
 def check_weights(
@@ -141,21 +143,20 @@ def check_weights(
         Naming `where` the weights came from.
     """
     xy = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in searched])
-    free = np.ones(len(xy), dtype=bool)
+    first = _first_zone(objective, xy)
     for number, zone in enumerate(objective.zones, start=1):
-        inside = polygon_holds(zone.polygon_m, xy)
-        if inside.any() and not (inside & free).any():
+        if (first == number - 1).any():
+            continue
+        if polygon_holds(zone.polygon_m, xy).any():
             raise InputError(
                 f"{where} zones {number}: an earlier zone holds every vehicle of the searched frames that is in "
                 f"{zone.name!r}, and the first that holds one counts; put the smaller zone first"
             )
-        free &= ~inside
-        if not inside.any():
-            (left, right), (x, y) = xy.min(axis=0), xy.max(axis=0)
-            raise InputError(
-                f"{where} zones {number}: no vehicle of the searched frames is in {zone.name!r}; "
-                f"those that count are at x {left:.1f} to {x:.1f} m, y {right:.1f} to {y:.1f} m"
-            )
+        (left, right), (x, y) = xy.min(axis=0), xy.max(axis=0)
+        raise InputError(
+            f"{where} zones {number}: no vehicle of the searched frames is in {zone.name!r}; "
+            f"those that count are at x {left:.1f} to {x:.1f} m, y {right:.1f} to {y:.1f} m"
+        )
     if not any(frame.counted_weight.any() for frame in searched):
         classes = np.unique(np.concatenate([frame.vehicles.class_name[frame.counted] for frame in searched]))
         raise InputError(

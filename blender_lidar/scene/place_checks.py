@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InputError
 from ..names import SIDES
 from ..road.road_map import wrap_angle
-from ..traffic.lanes import LANE_WIDTHS_M, USUAL_LANE_M, density_peaks
+from ..traffic.lanes import FEWEST_ON_A_ROAD, LANE_WIDTHS_M, USUAL_LANE_M, density_peaks
 from ..traffic.vehicles import Recording, frames_looked_at, overlapping_pairs
 from . import usual
 from .region import Region, region_of
@@ -104,7 +104,7 @@ def _keep_to_it(placed: Placed) -> bool:
     along = placed.on_road & (np.cos(placed.heading_rad) > math.cos(usual.ALONG_RAD))
     of_row = np.unique(placed.vehicle[placed.inside], return_inverse=True)[1].reshape(-1)
     keeping = np.bincount(of_row, along[placed.inside]) > usual.MOST * np.bincount(of_row)
-    return bool(keeping.sum() >= 3 and along[placed.inside].sum() >= usual.FEWEST)
+    return bool(keeping.sum() >= FEWEST_ON_A_ROAD and along[placed.inside].sum() >= usual.FEWEST)
 
 
 def _place_meant(t: np.ndarray, recording: Recording, scenario: Scenario) -> str:

@@ -71,6 +71,13 @@ def _check_side(where: str, there: Sequence[str], side: str | None) -> None:
 
 
 def deployment_from(table: TomlTable, road: StraightRoad) -> Deployment:
+    """[deployment]: which coordinates are fixed and which are searched, on one place or on a table of poles.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        Naming the key, or the file of poles.
+    """
     found = table.read(DEPLOYMENT | STAND)
     poles, clearance_m = found["poles"], found.pop("clearance_m")
     given = {key: found[key] for key in DEPLOYMENT if key in table.values}
@@ -92,19 +99,38 @@ def deployment_from(table: TomlTable, road: StraightRoad) -> Deployment:
     if places := [key for key in ("x_m", "y_m") if key in given]:
         raise InputError(f"{table.name}: has poles and {places[0]}; allowed: a table of places, or one place")
     deployment = replace(deployment, poles=read_poles(poles), poles_file=poles)
+    _check_poles(deployment, table.where("height_m"))
+    return deployment
+
+
+def _check_poles(deployment: Deployment, where: str) -> None:
+    """Refuse poles on another side than a scene names, and heights that no LiDAR hangs at; `where` is height_m."""
     for pole in deployment.poles:
-        _check_side(f"{poles}: pole {pole.name!r}", [road.side_of((pole.x_m, pole.y_m))], side)
+        named = f"{deployment.poles_file}: pole {pole.name!r}"
+        _check_side(named, [deployment.road.side_of((pole.x_m, pole.y_m))], deployment.side)
         if "height_m" in deployment.fixed and (pole.height_min_m is None) != (pole.height_max_m is None):
-            raise InputError(
-                f"{poles}: pole {pole.name!r}: has one end of its heights, and {table.where('height_m')} none"
-            )
+            raise InputError(f"{named}: has one end of its heights, and {where} none")
         (low, high), limits = deployment.at(pole).span("height_m"), COORDINATE_LIMITS["height_m"]
         if not limits[0] <= low <= high <= limits[1]:
             raise InputError(
-                f"{poles}: pole {pole.name!r}: its heights are {low:g} to {high:g} m above the road; "
-                f"allowed: {limits[0]:g} to {limits[1]:g} m, the lower first"
+                f"{named}: its heights are {low:g} to {high:g} m above the road; allowed: {limits[0]:g} to "
+                f"{limits[1]:g} m, the lower first"
             )
-    return deployment
+
+
+def baseline_from(table: TomlTable, deployment: Deployment, region: RegionSettings) -> Mounting:
+    """[baseline]: at the mount's own place where that is fixed; else where no bound and no pole moves it."""
+    road, place = road_map(deployment.road), {} if deployment.poles else deployment.fixed
+    x_m = place.get("x_m", region_of(region, road).centre_xy[0])
+    y_m = place.get("y_m", deployment.road.place(deployment.side or deployment.road.drives_on)[0])
+    given = {key: value for key, value in table.read(MOUNTING_OR_LEAN).items() if key in table.values}
+    facing_deg = deployment.facing_at((given.get("x_m", x_m), given.get("y_m", y_m)))
+    mast = mast_at(road, x_m, y_m, math.radians(facing_deg))
+    upright = Mounting(mast, max(MOUNTING["height_m"].default, deployment.least_height_m))
+    return mounting_from(given, road, upright, table.name)
+
+
+# --- Angles: in degrees, and each orientation once --------------------------------------------------------------------
 
 
 def _check_angles(table: TomlTable, searched: Mapping[str, tuple[float, float]]) -> None:
@@ -129,20 +155,6 @@ def _check_angles(table: TomlTable, searched: Mapping[str, tuple[float, float]])
                 f"{table.where(key)}: is searched on both sides of 0 with more than 180 degrees of yaw_deg, so that "
                 f"each lean is there twice; {instead}, or one side of 0"
             )
-
-
-def baseline_from(table: TomlTable, deployment: Deployment, region: RegionSettings) -> Mounting:
-    """[baseline]: at the mount's own place where that is fixed; else where no bound and no pole moves it."""
-    road, place = road_map(deployment.road), {} if deployment.poles else deployment.fixed
-    x_m = place.get("x_m", region_of(region, road).centre_xy[0])
-    y_m = place.get("y_m", deployment.road.place(deployment.side or deployment.road.drives_on)[0])
-    given = {key: value for key, value in table.read(MOUNTING_OR_LEAN).items() if key in table.values}
-    mast = mast_at(road, x_m, y_m, math.radians(deployment.facing_at((given.get("x_m", x_m), given.get("y_m", y_m)))))
-    upright = Mounting(mast, max(MOUNTING["height_m"].default, deployment.least_height_m))
-    return mounting_from(given, road, upright, table.name)
-
-
-# --- Angles: in degrees, and each orientation once --------------------------------------------------------------------
 
 
 def in_radians(key: str, ends: tuple[float, ...]) -> tuple[float, ...] | None:

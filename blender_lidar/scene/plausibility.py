@@ -1,7 +1,7 @@
 """Plausibility of a recording: wrong units, columns and places, which would end in a wrong answer, stop a run.
 
 Each check has a name of `names.WARNINGS`; its limits and their reasons stand in `usual`. What `[traffic] accept` or
-``--accept`` names does not stop a run, but stands in all that it tells. Suspicious things that may be right are notes.
+``--accept`` names does not stop a run, but stands in all of its results. Suspicious things that may be right are notes.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class _Seen:
 
 
 def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
-    """The same recording; its report tells what cannot be true and is accepted.
+    """The same recording; its report holds what cannot be true and is accepted.
 
     Parameters
     ----------

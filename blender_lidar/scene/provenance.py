@@ -110,7 +110,7 @@ def _input_files(scenario: Scenario) -> dict[tuple[str, str], str]:
 
 
 def _stamp(path: str) -> tuple[int, int] | None:
-    """What tells that a file is the same as before; None where there is none."""
+    """Size and time of change of a file, by which it is the same as before; None where there is none."""
     with suppress(OSError):
         status = Path(path).stat()
         return status.st_size, status.st_mtime_ns

@@ -23,6 +23,7 @@ from ..traffic.vehicles import unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
 from ..world.scenery import Scenery, along_road, barrier, box, boxes_reach, join, road_surface
+from . import usual
 from .mount_checks import check_mount_is_clear, extent, mount_notes
 from .mounting import Mounting
 from .observation import CountedFrame, Observation, Scoring, check_weights, vehicle_weights
@@ -204,12 +205,10 @@ def prepare(
         of_recording = plan.search_recording == number
         if not any(searched[at].counted.any() for at in np.flatnonzero(of_recording)):
             raise nobody_there(own, region, int(of_recording.sum()), scenario)
-    if note := _out_of_range(scenario, given, searched):
-        plan = replace(plan, notes=(*plan.notes, note))
     judging = len({number for frame in held_out for number in frame.vehicles.vehicle_id[frame.counted].tolist()})
-    plan = replace(plan, notes=(*plan.notes, *_same_notes(recordings, names), *mount_notes(scenario, given)))
-    if note := few_vehicles(len(plan.searched_ids), judging if held_out else None):
-        plan = replace(plan, notes=(*plan.notes, note))
+    notes = [*plan.notes, _out_of_range(scenario, given, searched), *_same_notes(recordings, names)]
+    notes += [*mount_notes(scenario, given), few_vehicles(len(plan.searched_ids), judging if held_out else None)]
+    plan = replace(plan, notes=tuple(filter(None, notes)))
     searched = _weighted(searched, plan.search_recording, scenario)
     held_out = _weighted(held_out, plan.holdout_recording, scenario)
     check_weights(objective, searched, held_out, scenario.where("objective", ""))
@@ -228,9 +227,6 @@ def _same_notes(recordings: Sequence[Recording], names: Sequence[str]) -> Iterat
                 )
 
 
-_FEW_OUT_OF_RANGE = 0.05  # a smaller share is not reported
-
-
 def _out_of_range(scenario: Scenario, given: Sequence[Mounting], searched: Sequence[CountedFrame]) -> str | None:
     """A note where many that count are beyond the range gate of every mount that is asked about.
 
@@ -246,7 +242,7 @@ def _out_of_range(scenario: Scenario, given: Sequence[Mounting], searched: Seque
     for low, high in map(extent, given or scenario.deployment.places):
         away.append(np.hypot(*np.maximum(np.maximum(low[:2] - xy, xy - high[:2]), 0.0).T))
     share = (np.min(away, axis=0) - half > gate).mean()
-    if share <= _FEW_OUT_OF_RANGE:
+    if share <= usual.SOME:
         return None
     said = f"{100 * share:.0f} % of the boxes that count in the searched frames lie beyond the range gate of {gate:g} m"
     check = "check [region], [sensor] range_gate_m and [deployment] x_m and y_m"
@@ -324,16 +320,13 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
     given = {key: getattr(settings, key) for key in _OF_FORMATS}
     recording = read_traffic(settings.path, format=settings.format, road=scenario.road, **given)
     recording = with_variety(recording, world.variety, world.variety_seed, number)
-    if settings.lanes is None:
-        return _on_crown(checked_recording(recording, scenario), scenario.road_map)
-    in_lanes = np.isin(recording.lane, settings.lanes)
-    if not in_lanes.any():
-        present = ", ".join(map(str, np.unique(recording.lane)))
-        raise InputError(f"{recording.source}: no vehicle in lanes {list(settings.lanes)}; its lanes are {present}")
-    return _on_crown(checked_recording(recording.where(in_lanes), scenario), scenario.road_map)
-
-
-_ON_PLANE_M, _MOST_OFF_PLANE = 0.05, 0.05  # floors this near z = 0 stand on it; share of boxes that may not
+    if settings.lanes is not None:
+        in_lanes = np.isin(recording.lane, settings.lanes)
+        if not in_lanes.any():
+            present = ", ".join(map(str, np.unique(recording.lane)))
+            raise InputError(f"{recording.source}: no vehicle in lanes {list(settings.lanes)}; its lanes are {present}")
+        recording = recording.where(in_lanes)
+    return _on_crown(checked_recording(recording, scenario), scenario.road_map)
 
 
 def _on_crown(recording: Recording, road: RoadMap) -> Recording:
@@ -345,7 +338,7 @@ def _on_crown(recording: Recording, road: RoadMap) -> Recording:
     if road.surface.is_flat:
         return recording
     floor, above = recording.centre_m[:, 2] - 0.5 * recording.size_m[:, 2], road.surface.height(recording.centre_m)
-    if (abs(floor) > _ON_PLANE_M).mean() <= _MOST_OFF_PLANE:
+    if (abs(floor) > usual.ON_PLANE_M).mean() <= usual.SOME:
         return recording.with_columns(centre_m=recording.centre_m + np.outer(above, [0.0, 0.0, 1.0]))
     off = np.median(floor - above)
     note = (

@@ -30,6 +30,7 @@ ALIKE_M = 0.05  # sizes that differ by less are one number
 OFF_MIDDLE_M = 0.5  # of a box above its half height: more than kerbs, lorries' axles and survey errors
 OVERLAPPING = 0.12  # pairs a box: unrelated labels reach 0.1; a fifth of the vehicles there twice make 0.16
 SAME_PLACE_M = 0.5  # between the middles of two boxes: no two vehicles are so near
+ON_PLANE_M = 0.05  # of a floor off z = 0: boxes that are surveyed are farther off, others stand on it
 LENGTH_VARIES = 0.05  # of itself, along one track: trackers that fit a box in each frame
 
 # --- Motion

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..optimise.search import generator
-from ..scene.mounting import Layout, Mounting, changed
+from ..scene.mounting import Layout, Mounting, changed_mounting
 from ..scene.scenario import Scenario
 
 SOBOL_BITS = 30
@@ -91,7 +91,7 @@ def grid_candidates(scenario: Scenario, mounting: Mounting, heights: int, tilts:
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     points = np.concatenate([[[place[name] for name in names]], grid])
     road = scenario.road_map
-    placed = (changed(mounting, road, **dict(zip(names, point, strict=True))) for point in grid.tolist())
+    placed = (changed_mounting(mounting, road, **dict(zip(names, point, strict=True))) for point in grid.tolist())
     return Candidates(names, points, tuple((one,) for one in (scenario.baseline, mounting, *placed)))
 
 
