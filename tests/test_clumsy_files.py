@@ -86,7 +86,7 @@ CAUSES = {  # what the line says of each
     "a class that nobody knows": "csv:2: unknown class 'lorry'; allowed: car, van",
     "sizes of nothing": "csv:2: length_m is 0; allowed: more than 0",
     "negative sizes": "csv:2: width_m is -1.8; allowed: more than 0",
-    "one id for all": "several vehicles have one vehicle_id",
+    "one id for all": "several vehicles share a vehicle_id",
     "frames that count in seconds of the day": "csv:4: frame is 0.1; allowed: a whole number",
     "a table of something else": "no traffic that is known: it begins with 'date,price'",
     "a picture": "not a text file",

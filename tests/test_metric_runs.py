@@ -258,24 +258,29 @@ def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_sc
 @pytest.mark.parametrize(
     ("metric", "loss", "reading", "text"),
     [
-        ("pe-vgop", -1.0, "corrected", "the PE-VGOP of every detectable vehicle, less 1 bit for every other one"),
-        ("pe-vgop", 0.5, "corrected", "the PE-VGOP of every detectable vehicle, less 0.5 bits for every other one"),
+        ("pe-vgop", -1.0, "corrected", "the PE-VGOP of every detectable vehicle, minus 1 bit for every other vehicle"),
+        (
+            "pe-vgop",
+            0.5,
+            "corrected",
+            "the PE-VGOP of every detectable vehicle, minus 0.5 bits for every other vehicle",
+        ),
         ("pe-vgop", -1.0, "paper", "Eq. 10 of the paper as printed"),
         ("points", None, "paper", "the number of returns of every vehicle, detectable or not"),
         ("distance", None, "corrected", "minus the distance of every vehicle, detectable or not"),
-        ("detectable", None, "corrected", "1 for every detectable vehicle, 0 for every other one"),
-        ("detectable", -0.5, "corrected", "1 for every detectable vehicle, less 0.5 for every other one"),
+        ("detectable", None, "corrected", "1 for every detectable vehicle, 0 for every other vehicle"),
+        ("detectable", -0.5, "corrected", "1 for every detectable vehicle, minus 0.5 for every other vehicle"),
         (
             "points",
             -1.0,
             "corrected",
-            "the number of returns of every detectable vehicle, less 1 point for every other one",
+            "the number of returns of every detectable vehicle, minus 1 point for every other vehicle",
         ),
         (
             "sum-of-views",
             1.0,
             "corrected",
-            "the sum of the views' occupancies of every detectable vehicle, less 1 for every other one",
+            "the sum of the views' occupancies of every detectable vehicle, minus 1 for every other vehicle",
         ),
         (
             "ap-entropy",

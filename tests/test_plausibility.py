@@ -129,7 +129,7 @@ TABLES = {  # by name: the rows, what warns and what it takes them for
     ),
     "a compass on a road at 33 degrees": (road_at(33, heading_deg=57), "headings", "probably clockwise from north"),
     "x and y swapped on a road at 33 degrees": (road_at(33, swapped=True), "headings", "or x and y are swapped"),
-    "headings of another axis": (road_at(0, heading_deg=12), "headings", "of another axis than x_m and y_m"),
+    "headings of another axis": (road_at(0, heading_deg=12), "headings", "measured from another axis than x_m"),
     "vehicles there twice": (
         [
             [*row[:1], row[1] + 100 * again, *row[2:3], row[3] + 0.3 * again, *row[4:]]
@@ -137,7 +137,7 @@ TABLES = {  # by name: the rows, what warns and what it takes them for
             for again in (0, 1)
         ],
         "overlaps",
-        "vehicles are there twice under other ids",
+        "vehicles are listed twice under different ids",
     ),
 }
 
@@ -148,7 +148,7 @@ def test_what_cannot_be_true_of_a_table_stops_with_its_name_and_what_is_probably
     scene = scene_of(tmp_path, rows)
     line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run")
     assert meant in line
-    assert line.endswith(f"to go on all the same: --accept {name}")
+    assert line.endswith(f"if it is right, go on with --accept {name}")
     accepted = list(dict.fromkeys([name, "carriageway"]))  # what was turned for a case lies across the road too
     warnings = read_recording(load_scenario(write_scene(tmp_path, {"traffic": {"accept": accepted}}))).report.warnings
     assert warnings[0][0] == name
@@ -205,7 +205,7 @@ def test_vehicles_against_the_travel_on_the_carriageway_are_told(tmp_path):
     notes = read_recording(load_scenario(scene_of(tmp_path / "one way", rows))).report.notes
     assert not any("against the direction of their lane" in note for note in notes)
     notes = read_recording(load_scenario(scene_of(tmp_path / "two ways", both_ways(table(), 0.0)))).report.notes
-    message = [note for note in notes if "drive against the direction of their lane and count as the others do" in note]
+    message = [note for note in notes if "drive against the direction of their lane, and they count" in note]
     assert len(message) == 1
     assert 40 <= int(message[0].split()[0]) <= 60
 
@@ -226,7 +226,9 @@ def test_heights_that_are_not_of_the_middles_stop(case, tmp_path):
     if not refused:
         assert read_recording(scene).report.warnings == ()
     else:
-        with pytest.raises(InputError, match=r"probably z_m is of floors, of tops or above sea.*--accept sizes"):
+        with pytest.raises(
+            InputError, match=r"probably z_m is the height of floors or tops, or above sea level.*--accept sizes"
+        ):
             read_recording(scene)
 
 

@@ -170,7 +170,7 @@ def test_the_answer_tells_each_recording_and_which_is_seen_worst(tmp_path, capsy
     assert set(rows) == {"morning", "evening"}
     result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
     worst = min(result["recordings"], key=lambda row: row["holdout"]["objective_per_vehicle"])
-    assert f"Of the recordings {worst['name']} is seen worst: {worst['holdout']['objective_per_vehicle']:.4f}" in out
+    assert f"Recording {worst['name']} is seen worst: {worst['holdout']['objective_per_vehicle']:.4f}" in out
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "morning.csv and evening.csv" in page
     assert "Each recording alone" in page

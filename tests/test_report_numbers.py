@@ -170,7 +170,7 @@ def test_cautions_repairs_sheet_scene_and_versions_are_there(folder):
     change(folder, result)
     page = Page(page_of(folder))
     items = [page.text(number) for number in page.find("li")]
-    assert "The best height lies on a bound of [deployment]; beyond may be better." in items
+    assert "The best height lies on a bound of [deployment]; a value beyond it may be better." in items
     assert "a note on frames" in items
     used = result["traffic_report"]["rows_used"]
     assert f"{used:,} of {used:,} rows used" in items

@@ -240,7 +240,7 @@ def test_sides_that_contradict_the_road_are_refused(text, words, tmp_path):
         ({"side": "left"}, "tilted 15.0° across it, facing -y", "faces -y, right of the direction of travel on the r"),
         ({"side": "median"}, "tilted 15.0° across it, at x", "in the median, 2.50 m from the edge of the nearest lane"),
         ({"side": "gantry", "height_m": [5.0, 8.0]}, "tilted 15.0° across it, at x", "over a lane, 0.00 m from its "),
-        ({"facing_deg": 45.0}, "15.0° to where the mast faces, facing 45° from +x", "45 deg counter-clockwise of it"),
+        ({"facing_deg": 45.0}, "towards where the mast faces, facing 45° from +x", "45 deg counter-clockwise of it"),
     ],
 )
 def test_words_of_a_mounting_are_true_on_every_side(deployment, said, sheet, tmp_path, capsys, monkeypatch):

@@ -162,10 +162,14 @@ def standing():
 FOUR_LANES = {"road": {"lanes": 4}, **WIDE}
 AT_33 = {"traffic": {"heading_deg": 33.0}}
 STOPS = {  # by name: the rows, the scene, and what the line says
-    "headings of vehicles that stand": (queue(0.0), AT_33, "boxes that stand point more than 30.*--accept headings"),
-    "one heading on a bend": (bend(heading_deg=0.0), {}, "one for all where the road bends.*--accept headings"),
-    "front bumpers": (jam(0.5), {}, "not the boxes' centres .but bumpers.*--accept overlaps"),
-    "rear bumpers": (jam(-0.5), {}, "not the boxes' centres .but bumpers.*--accept overlaps"),
+    "headings of vehicles that stand": (queue(0.0), AT_33, "standing boxes point more than 30.*--accept headings"),
+    "one heading on a bend": (
+        bend(heading_deg=0.0),
+        {},
+        "one heading for all although the road bends.*--accept headings",
+    ),
+    "front bumpers": (jam(0.5), {}, "bumpers and not box centres.*--accept overlaps"),
+    "rear bumpers": (jam(-0.5), {}, "bumpers and not box centres.*--accept overlaps"),
     "trucks ten times too small": (of_class("truck", 0.1), {}, "median truck is 1.1 .*another unit.*--accept sizes"),
     "cars ten times too small": (of_class("car", 0.1), {}, "median car is 0.44 .*another unit.*--accept sizes"),
     "vans of a third": (of_class("van", 0.3048), {}, "median van is 1.58 .*another unit.*--accept sizes"),
@@ -177,32 +181,40 @@ STOPS = {  # by name: the rows, the scene, and what the line says
     "one height for all": (
         table(height_m=lambda row: 1.5),
         {},
-        "11 by 2.5 by 1.5 m, as high as a median car.*one size or height for all.*--accept sizes",
+        "11 by 2.5 by 1.5 m, is as high as the median car.*one size or height.*--accept sizes",
     ),
     "one in twenty-five there twice": (
         again(0.04),
         {},
-        "boxes stand where another one does.*there twice.*--accept overlaps",
+        "boxes stand where another one stands.*listed twice.*--accept overlaps",
     ),
-    "a fifth there twice": (again(0.2), {}, "pairs of boxes overlap.*there twice.*--accept overlaps"),
+    "a fifth there twice": (again(0.2), {}, "boxes overlap.*listed twice.*--accept overlaps"),
     "one size for all": (
         table(length_m=lambda row: 4.4, width_m=lambda row: 1.8, height_m=lambda row: 1.5),
         {},
-        "4.4 by 1.8 by 1.5 m, as high as a median car.*one size or height for all.*--accept sizes",
+        "4.4 by 1.8 by 1.5 m, is as high as the median car.*one size or height.*--accept sizes",
     ),
     "trucks whose width and height are swapped": (
         [[*row[:6], row[7], row[6], *row[8:]] if row[2] == "truck" else row for row in table()],
         {},
         "median truck is 11 by 3.6 by 2.5 m .*swapped columns.*--accept sizes",
     ),
-    "headings 4 degrees off": (table(heading_deg=lambda row: 4.0), {}, "head 4 degrees off their motion.*headings"),
+    "headings 4 degrees off": (
+        table(heading_deg=lambda row: 4.0),
+        {},
+        "headings of moving vehicles are 4 degrees off their motion.*headings",
+    ),
     "some headings across": (across(), {}, "20 % of them more than 30.*--accept headings"),
     "several vehicles under one id": (
         one_id_for(2),
         {},
-        "elsewhere in the same frame.*one vehicle_id.*--accept tracks",
+        "elsewhere in the same frame.*share a vehicle_id.*--accept tracks",
     ),
-    "ids of another vehicle in each frame": (anew(50), {}, "vehicles jump, by 20 m.*one vehicle_id.*--accept tracks"),
+    "ids of another vehicle in each frame": (
+        anew(50),
+        {},
+        "vehicles jump by 20 m.*share a vehicle_id.*--accept tracks",
+    ),
     "lanes that no table names": (
         traffic_rows(),
         {"region": {"stretches": [{"x_m": [-20.0, 20.0], "lanes": [1, 2]}]}},
@@ -222,14 +234,18 @@ NOTES = {  # by name: the rows, the scene, and what is said
         {"traffic": {"heading_deg": 30.0}},
         "at 3 degrees to the road's x axis, 2.1 m across it in 40 m; check [traffic] heading_deg (such as 33)",
     ),
-    "y mirrored": (two_carriageways(mirrored=True), {"region": CIRCLE_40, **WIDE}, "left-hand traffic, or y is mirr"),
+    "y mirrored": (
+        two_carriageways(mirrored=True),
+        {"region": CIRCLE_40, **WIDE},
+        "this is left-hand traffic ([road] drives_on",
+    ),
     "an origin 4 m off": (shifted(y_m=4.0), {}, "they drive at y 8 to 11 m: check [traffic] and [road]"),
     "a region that is half seen": (
         traffic_rows(),
         {"region": {"centre_m": [15.0, 0.0], "radius_m": 20.0}},
         "from any mount, and count as missed",
     ),
-    "ids that are used again": (again_from_behind(), WIDE, "of the vehicles come again from behind"),
+    "ids that are used again": (again_from_behind(), WIDE, "of the vehicles jump back and drive past again"),
     "headings that are noise": (
         table(heading_deg=lambda row: 20.0 * math.sin(7.0 * row["frame"] + row["vehicle_id"])),
         {},
@@ -243,7 +259,7 @@ NOTES = {  # by name: the rows, the scene, and what is said
     "the same minutes twice": (
         once_more(),
         {},
-        "50 % of the frames are there again to the centimetre 120 s later, with other vehicles: if the same minutes",
+        "50 % of the frames come again to the centimetre 120 s later, under other vehicle numbers: if the",
     ),
     "lengths that vary": (
         table(length_m=lambda row: row["length_m"] * (1.0 + 0.3 * math.sin(3.0 * row["frame"]))),
@@ -255,8 +271,8 @@ NOTES = {  # by name: the rows, the scene, and what is said
         {},
         "% of the boxes have impossible sizes for their class, as a ",
     ),
-    "a car park": (standing(), {}, "next to no vehicle moves in 118 s: a jam, or a car park?"),
-    "new ids in every frame": (anew(10**6), WIDE, "next to no vehicle is in more than one frame"),
+    "a car park": (standing(), {}, "almost no vehicle moves in 118 s: a jam, or a car park?"),
+    "new ids in every frame": (anew(10**6), WIDE, "almost no vehicle is in more than one frame"),
     "lanes of 2 m": (traffic_rows(), {"road": {"lane_width_m": 2.0}}, "lane_width_m is 2 m (usual: 2.4 to 5.2)"),
     "some boxes in one another": (
         [
@@ -264,10 +280,10 @@ NOTES = {  # by name: the rows, the scene, and what is said
             *([*row[:1], row[1] + 10_000, *row[2:4], row[4] + 0.6, *row[5:]] for row in dense() if row[1] % 12 == 0),
         ],
         WIDE,
-        "pairs of boxes overlap among 100",
+        "pairs among 100 boxes overlap",
     ),
     "places multiplied by 1.1": (in_lanes(factor=1.1), FOUR_LANES, "3.85 m apart, but [road] lane_width_m is 3.5 m"),
-    "an origin 1.5 m off": (in_lanes(y_m=1.5), FOUR_LANES, "vehicles drive 1.5 m beside the middles of the lanes"),
+    "an origin 1.5 m off": (in_lanes(y_m=1.5), FOUR_LANES, "vehicles drive 1.5 m beside the lane centres of"),
     "few beside a motorway": (beside_a_motorway(), {"region": CIRCLE_40, **WIDE}, "% of the boxes in the region lie"),
     "a last frame of another day": (
         at_another_time(lambda frame: frame >= 58, 86_400.0),

@@ -226,10 +226,10 @@ def test_the_page_shows_both_optima(runs):
 
 def test_the_sheet_tells_what_is_kept_and_what_costs_most(runs):
     result, sheet = stored(runs / "robust"), (runs / "robust" / "installation.txt").read_text()
-    assert f"If it hangs only nearly so: {tolerance_text(result['tolerance']['settings'])}" in sheet
+    assert f"With installation errors of {tolerance_text(result['tolerance']['settings'])}" in sheet
     assert f"- {kept_text(result)}" in sheet
     assert f"- {costliest_text(result)}" in sheet
-    assert "hangs only nearly so" not in (runs / "plain" / "installation.txt").read_text()
+    assert "installation errors" not in (runs / "plain" / "installation.txt").read_text()
 
 
 def test_the_costliest_single_error_is_the_one_that_loses_most(runs):
@@ -237,7 +237,8 @@ def test_the_costliest_single_error_is_the_one_that_loses_most(runs):
     losses = {"height_m": [0.01, -0.2], "tilt_x_deg": [0.25, 0.1], "tilt_y_deg": [0.0, 0.0]}
     result["tolerance"]["robust"]["optimised"]["holdout"]["loss_at_limits"] = losses
     assert costliest_text(result) == (
-        "of the single errors tilt across the road -4 deg costs most: 0.250 bits per vehicle (held-out frames)"
+        "of single installation errors, tilt across the road -4 deg costs most: 0.250 bits per vehicle "
+        "(held-out frames)"
     )
     result["tolerance"]["robust"]["optimised"]["holdout"]["loss_at_limits"] = {"height_m": [-0.1, 0.0]}
     assert costliest_text(result) == ""
@@ -246,7 +247,7 @@ def test_the_costliest_single_error_is_the_one_that_loses_most(runs):
 def test_a_search_that_found_nothing_better_says_so(runs):
     result = stored(runs / "robust")
     result["tolerance"]["sharp"]["deployment"] = result["deployment"]
-    assert "The search over the tolerance found no better mounting than the sharp one." in cautions(result)
+    assert "The search over the tolerance found no mounting better than the sharp one." in cautions(result)
 
 
 def test_what_robustness_costs_and_brings_is_told_with_its_intervals(runs):
@@ -257,8 +258,8 @@ def test_what_robustness_costs_and_brings_is_told_with_its_intervals(runs):
         "over_tolerance": {"objective_per_vehicle": 0.004, "interval_90": None},
     }
     assert (
-        "Beside the sharp mounting the robust one has, per vehicle on held-out frames, as planned -0.005 bits "
-        "(90 %: -0.016 to +0.006) and over the tolerance +0.004 bits."
+        "On held-out frames the robust mounting has, compared with the sharp one and per vehicle, -0.005 bits (90 %: "
+        "-0.016 to +0.006) as planned and +0.004 bits over the tolerance."
     ) in cautions(result)
 
 

@@ -80,7 +80,7 @@ def _about(site: Site, plan: DatasetPlan, layouts: tuple[str, ...]) -> dict[str,
 
 def _summary(result: dict, folder: Path) -> str:
     lines = [*warnings_text(result)]
-    for split, purpose in ((TRAIN, "to train on"), (VAL, "to validate by")):
+    for split, purpose in ((TRAIN, "for training"), (VAL, "for validation")):
         one = result[split]
         lines.append(
             f"{one['scans']:,} scans of {one['frames']:,} frames {purpose}: {one['labelled']:,} labelled boxes of "

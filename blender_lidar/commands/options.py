@@ -29,7 +29,7 @@ _SETTINGS = {
     for key, declared in settings.items()
     if declared.option and table not in ("deployment", "baseline")
 }
-SEARCH_OPTIONS = ("--search", "--fidelity", "--particles", "--iterations")
+SEARCH_OPTIONS = ("--search", "--fidelity", "--particles", "--iterations", "--seeds")
 _FOR_SEARCHES = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--tolerance", "--reading", "--workers")
 _FOR_SEARCHES += ("--cluster", "--seed")
 
@@ -111,7 +111,7 @@ def _numbers_read(given, kind):
 
 def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = ()) -> None:
     """The scene file, and the options that replace its settings but for those left out."""
-    meant = "the scene file, or the name of a shipped one: i80; an option replaces what the file says"
+    meant = "scene file, or the name of a shipped scene: i80; options replace what the file says"
     parser.add_argument("scene", metavar="SCENE.toml", help=meant)
     for title, tables in _GROUPS.items():
         asked = {option: of for option, of in _SETTINGS.items() if of[0] in tables and option not in leave_out}
@@ -128,7 +128,7 @@ def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
     which = frames.add_mutually_exclusive_group(required=True)
     which.add_argument("--frame", type=int, metavar="K", help="number of the frame in the recording")
     which.add_argument(
-        "--frame-ids", dest="sequence", metavar="IDS", help=f"{many}: 100,150 or 100:160:5, its end included"
+        "--frame-ids", dest="sequence", metavar="IDS", help=f"{many}: 100,150 or 100:160:5 (its end included)"
     )
     add_pose(parser)
 
@@ -136,7 +136,7 @@ def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
 def add_pose(parser: argparse.ArgumentParser) -> None:
     """The coordinates of one mounting: the orientation by tilts and yaw, or by its lean."""
     group = parser.add_argument_group("mounting", "coordinates that are not given are those of the scene's baseline")
-    group.add_argument("--pole", metavar="NAME", help="name of a candidate pole of the scene, whose x and y are used")
+    group.add_argument("--pole", metavar="NAME", help="candidate pole of the scene on which the LiDAR hangs")
     for key, declared in MOUNTING_OR_LEAN.items():
         add_option(group, replace(declared, metavar=key.rsplit("_", 1)[1].upper()), key)
 

@@ -66,8 +66,8 @@ def _output(parser: argparse.ArgumentParser, *, resumed: str = "", quick: str = 
 def _init(subparsers) -> None:
     parser = _verb(
         *(subparsers, "init", "init.run", "FOLDER --from FORMAT [FILE]", "propose a scene for a recording of your own"),
-        "Write FOLDER/scene.toml for a recording: road, lanes, region and a place for the pole, proposed from where "
-        "vehicles drive, with a picture to check by eye, FOLDER/scene.png.",
+        "Propose road, lanes, region and a place for the pole from where the vehicles of a recording drive. Write the "
+        "scene to FOLDER/scene.toml, and a picture to check it by eye to FOLDER/scene.png.",
         "my_site --from sumo run.fcd.xml --vehicle-types cars.rou.xml",
         "my_site trajectories.csv",
         "my_site --from example",
@@ -76,9 +76,9 @@ def _init(subparsers) -> None:
     add("folder", metavar="FOLDER", help="a new folder, or one that holds only the recording; nothing is overwritten")
     add("file", nargs="?", metavar="FILE", help="the recording, if it is not given with --from")
     kinds = (
-        "ngsim; sumo, the output of --fcd-output, with x and y in metres; table, a CSV with the columns frame, "
-        "vehicle_id, class, x_m, y_m, length_m, width_m, height_m, heading_deg and perhaps z_m, time_s, lane; auto, "
-        "which looks at the file; example, the shipped sample, without a FILE"
+        "format of the recording: ngsim; sumo, the output of --fcd-output, with x and y in metres; table, a CSV with "
+        "the columns frame, vehicle_id, class, x_m, y_m, length_m, width_m, height_m, heading_deg and optionally z_m, "
+        "time_s, lane; auto (default) finds it from the file; example, without FILE, takes the shipped sample"
     )
     add("--from", dest="source", nargs="+", metavar=("FORMAT", "FILE"), help=kinds)
     settings = settings_of(TrafficSettings)
@@ -92,7 +92,8 @@ def _init(subparsers) -> None:
 def _optimise(subparsers) -> None:
     parser = _verb(
         *(subparsers, "optimise", "optimise.run_optimise", "SCENE.toml", "find the best mounting for a scene"),
-        "Find the mounting with the highest objective, judge it on held-out traffic and leave a folder of results.",
+        "Search the mounting from which the LiDAR perceives the vehicles best, judge it on held-out traffic beside the "
+        "baseline, and write a folder of results.",
         "i80",
         "i80 --sensor RS-80 --fidelity auto --out runs/rs80",
         "i80 --tolerance tilt_deg=1,height_m=0.05",
@@ -106,11 +107,10 @@ _DETECTIONS = "CSV, nuScenes' JSON, or a folder of KITTI's label texts"
 
 
 def _detector(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    text = "the detector that is judged on clouds of the held-out frames: pillars, a neural network (PointPillars, "
-    text += (
-        "trained in simulated roadsides); classical, background subtraction, DBSCAN and L-shapes; FILE.npz, weights "
-    )
-    text += f"of your own for the network; or FILE, the detections of your own: {_DETECTIONS}"
+    text = "detector to judge on clouds of the held-out frames: pillars, a neural network (PointPillars, trained in "
+    text += "simulated roadsides); classical, which is not trained (background subtraction, DBSCAN, L-shapes); "
+    text += "FILE.npz, the network with weights of your own; or FILE, detections of your own: "
+    text += _DETECTIONS
     text += "" if default is None else " (default %(default)s)"
     parser.add_argument_group("detector").add_argument("--detector", default=default, metavar="NAME", help=text)
 
@@ -118,7 +118,8 @@ def _detector(parser: argparse.ArgumentParser, default: str | None = None) -> No
 def _evaluate(subparsers) -> None:
     parser = _verb(
         *(subparsers, "evaluate", "optimise.run_evaluate", "SCENE.toml", "score one mounting"),
-        "Score one mounting against the scene's baseline, on the searched and the held-out frames.",
+        "Score one mounting beside the scene's baseline, on the searched and the held-out frames, and write a folder "
+        "of results.",
         "i80 --height 4.1 --tilt-x 19",
     )
     add_scene(parser, leave_out=SEARCH_OPTIONS)
@@ -137,10 +138,11 @@ def _stability(subparsers) -> None:
             "stability",
             "studies.run_stability",
             "SCENE.toml",
-            "where a scene's answer holds and where it breaks",
+            "how far to trust a mounting: vary one thing at a time",
         ),
-        "Find out how far a mounting can be trusted, the one that the search finds or one that is given: vary traffic, "
-        "installation, metric and sensor one at a time, search with other seeds, and say of each whether it holds.",
+        "Find out how far a mounting can be trusted, the one that the search finds or the one that is given: change "
+        "traffic, installation, metric, sensor and random seed one at a time, and say what the mounting then loses to "
+        "the best one.",
         "i80 --quick",
         "i80 --height 4.1 --tilt-x 19",
     )
@@ -156,17 +158,17 @@ def _chart(subparsers) -> None:
             "chart",
             "studies.run_chart",
             "SCENE.toml",
-            "speed against accuracy of cheaper models of a scene",
+            "speed and accuracy of cheaper models of a scene, for developers",
         ),
-        "Compare cheaper models of a scene (vehicle detail, share of the beams and frames) with the full one, in time "
-        "and in the mounting that they choose; name the cheapest that is near enough, and the parts of the model that "
-        "change the choice. For developers of the model: nobody needs it to hang a LiDAR.",
+        "Compare cheaper models of a scene (less vehicle detail, fewer beams and frames) with the full one, in time "
+        "and in the mounting that they choose; name the cheapest one within --max-regret, and the parts of the model "
+        "that change the choice. For developers of the model: nobody needs it to hang a LiDAR.",
         "i80 --quick",
         "i80 --max-regret 0.5% --sensor RS-80",
     )
     add_scene(parser, leave_out=("--tolerance", "--search", "--particles", "--iterations"))
     add = parser.add_argument_group("chart").add_argument
-    regret = "share of the gain over the baseline that a cheaper model may lose, above 0 up to 100%%: 1%% or 0.01 "
+    regret = "share of the gain over the baseline that a cheaper model may cost, above 0 up to 100%%: 1%% or 0.01 "
     regret += "(default 1%%)"
     add("--max-regret", default="1%", metavar="SHARE", help=regret)
     _output(parser, resumed="study", quick="ten frames, fewer mountings and draws")
@@ -178,14 +180,14 @@ def _chart(subparsers) -> None:
 def _scan(subparsers) -> None:
     parser = _verb(
         *(subparsers, "scan", "scan.run_scan", "SCENE.toml --frame K --out CLOUD", "write the point clouds of frames"),
-        "Scan a frame with one revolution and write the cloud: .npz with everything, .pcd, .ply, .las, .laz, or "
-        "KITTI's .bin with its .label. With --frame-ids write a folder of clouds, one for each frame.",
+        "Simulate one revolution of the LiDAR in a frame and write the point cloud: .npz (all attributes), .pcd, .ply, "
+        ".las, .laz, or KITTI's .bin with its .label. With --frame-ids write a folder of clouds, one for each frame.",
         "i80 --frame 1000 --height 4.1 --tilt-x 19 --out cloud.pcd",
         "i80 --frame-ids 100:1000:100 --format sustechpoints --out clouds",
     )
     add_moments(parser, many="many frames")
     add = parser.add_argument_group("output").add_argument
-    out = "the file to write, whose suffix is the format; with --frame-ids a folder"
+    out = "file to write, its suffix is the format; with --frame-ids a folder"
     add("--out", required=True, metavar="CLOUD", help=out)
     of_folder = f"format of the files in the folder (default npz); {SUSTECHPOINTS} adds labels"
     add("--format", choices=_CLOUD_FORMATS, help=of_folder)
@@ -194,10 +196,10 @@ def _scan(subparsers) -> None:
 def _detect(subparsers) -> None:
     parser = _verb(
         *(subparsers, "detect", "detect.run", "SCENE.toml|DATASET|CLOUDS", "judge a detector at a mounting"),
-        "Let a detector find the vehicles of the held-out frames at a mounting and at the baseline: recall, precision "
-        "and average precision, with paired intervals, the boxes as CSV and as KITTI's labels, and a picture of one "
-        "frame. With a data set it judges the detector on the validation scans, each from its mounting; with a folder "
-        "of NPZ clouds it writes their boxes.",
+        "Let a detector find the vehicles of the held-out frames at a mounting and at the baseline, and write recall, "
+        "precision and average precision with paired intervals, the boxes as CSV and as KITTI's labels, and a picture "
+        "of one frame. Given a data set, judge the detector on its validation scans, each from its mounting. Given a "
+        "folder of NPZ clouds, write the boxes that the detector finds in them.",
         "i80 --height 4.5 --tilt-x 23",
         "i80 --height 4.5 --tilt-x 23 --detector classical",
         "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
@@ -217,13 +219,13 @@ class DatasetOptions:
     Attributes
     ----------
     mountings : int
-        Number of mountings, at random within [deployment].
+        Number of random mountings within [deployment].
     scans : int or None
         Number of scans; by default each frame once from each mounting.
     layouts : tuple of str or None
-        Layout of the files (default npz), may be repeated.
+        Layout of the files (default npz); may be repeated.
     as_recorded : bool
-        Do not move the traffic along the road, and do not mirror it.
+        Leave the traffic where it was recorded: neither move it along the road nor mirror it.
     """
 
     mountings: int = setting(20, low=1, high=100_000, option="--mountings", metavar="N")
@@ -235,13 +237,13 @@ class DatasetOptions:
 def _dataset(subparsers) -> None:
     parser = _verb(
         *(subparsers, "dataset", "dataset.run", "SCENE.toml", "labelled clouds to train and judge detectors with"),
-        "Scan frames of the traffic from random mountings, at random stations along the road, half of them mirrored, "
-        "and write clouds with boxes, point counts and visibility. Searched frames are for training, held-out ones for "
-        "validation; no vehicle is labelled in both. The same command again goes on where it was stopped.",
+        "Scan frames of the traffic from random mountings, at random places along the road, half of them mirrored, and "
+        "write clouds with boxes, point counts and visibility. Searched frames are for training, held-out ones for "
+        "validation; no vehicle is labelled in both. To continue after a stop give the same command again.",
         "i80 --mountings 20 --out i80_set",
         "i80 --frames 50 --mountings 50 --scans 2500 --layout kitti --layout nuscenes --out i80_set",
     )
-    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--seeds", "--metric", "--reading", "--cluster"))
+    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster"))
     group, settings = parser.add_argument_group("data set"), settings_of(DatasetOptions)
     for key in settings:
         add_option(group, settings[key], key, settings[key].default)
@@ -275,25 +277,25 @@ def _render(subparsers) -> None:
             "render",
             "scan.run_render",
             "RUN_DIR",
-            "pictures of a run's mountings with their clouds, by Cycles",
+            "render a run's mountings with their clouds, by Cycles",
         ),
-        "Render the baseline and the mounting of a run with the clouds that they see, from above and from the pole, "
-        "into the run's folder, and gather them in its report.html. Points on a vehicle go from red to green with the "
+        "Render the baseline and the mounting of a run with their point clouds, from above and from the pole, into the "
+        "run's folder, and add the pictures to its report.html. Points on a vehicle go from red to green with the "
         "vehicle's entropy.",
         "runs/i80_rs-16",
     )
     parser.add_argument("folder", metavar="RUN_DIR", help="folder of a run that has ended")
-    frame = "number of the frame; by default the searched one with most vehicles, or with most detections"
+    frame = "number of the frame; by default the searched one with the most vehicles, or the most detections"
     parser.add_argument("--frame", type=int, metavar="K", help=frame)
     samples = "light paths per pixel, 1 to 4096; more is smoother and slower"
     parser.add_argument("--samples", type=int, metavar="N", help=samples)
-    shown = "show these detections as wire boxes, and those of the baseline if a file NAME_baseline is beside: "
+    shown = "show these detections as wire boxes, and those of the baseline if NAME_baseline is in the same folder: "
     parser.add_argument("--detections", metavar="FILE", help=shown + _DETECTIONS)
 
 
 # --- Clouds and metrics without a simulation, and beside reality ------------------------------------------------------
 
-_METRIC = "a further metric beside PE-VGOP, may be repeated: all, FILE.py:NAME, "
+_METRIC = "a further metric beside PE-VGOP; may be repeated: all, FILE.py:NAME, "
 _METRIC += ", ".join(METRIC_NAMES)
 
 
@@ -310,7 +312,7 @@ class ScoreOptions:
     frame : int or None
         Number of the frame, if the boxes are of several frames.
     assign : str
-        A point belongs to the vehicle that its vehicle_id names, or to the box it lies in.
+        How points are assigned to vehicles: id, by their vehicle_id; box, by the box they lie in.
     clearance_m : float
         With --assign box, points up to this height above a box's floor are ground.
     cell_m : float
@@ -352,7 +354,7 @@ def _score(subparsers) -> None:
             "--points CLOUD --boxes BOXES.csv",
             "score the vehicles of a labelled cloud",
         ),
-        "Score a point cloud with known boxes: PE-VGOP of each vehicle, and other metrics on request.",
+        "Score the vehicles of a point cloud with known boxes: PE-VGOP of each vehicle, and other metrics on request.",
         "--points cloud.npz --boxes runs/i80_rs-16/vehicles.csv --frame 1000",
         "--points sweep.pcd --boxes boxes.csv --assign box --metric all",
     )
@@ -375,17 +377,17 @@ class CompareOptions:
     Attributes
     ----------
     points : tuple of str
-        A recorded cloud, .npz with xyz or .pcd; may be repeated.
+        A recorded cloud: .npz with xyz, or .pcd; may be repeated.
     boxes : str
         The labelled boxes, in the columns of vehicles.csv and the frame of the clouds.
     frames : tuple of int or None
         For each cloud the number of its frame, if the boxes are of several frames.
     classes : tuple of str or None
-        Label of the vehicles to compare, may be repeated; by default all that have a shape.
+        Label of the vehicles to compare; may be repeated; by default all classes that can be simulated.
     distance_m : (float, float) or None
         Leave out vehicles nearer or farther than this.
     sensor : str
-        Sensor model or beam table.
+        Sensor model, or path of a beam table.
     rotation_hz : float or None
         Rotation rate of the sensor.
     x_m, y_m, height_m : float
@@ -401,7 +403,7 @@ class CompareOptions:
     clearance_m : float
         Recorded and simulated points up to this height above a box's floor are left out.
     caster : str
-        What casts the rays.
+        Ray caster.
     out : str or None
         Folder of the results; by default a new one under runs/.
     json : bool
@@ -441,8 +443,8 @@ def _compare(subparsers) -> None:
             "--points CLOUD --boxes BOXES.csv --sensor NAME",
             "a recorded, labelled cloud beside its simulation",
         ),
-        "Compare recorded vehicles with simulated ones: the points that each labelled vehicle gave in a recorded "
-        "cloud, beside those that the simulated sensor gives it at the same place.",
+        "Compare recorded vehicles with simulated ones: the points of each labelled vehicle in a recorded cloud, and "
+        "the points that the simulated sensor gets from it at the same place.",
         "--points sweep.pcd --boxes boxes.csv --sensor RS-80 --height 4.1 --tilt-x 9",
         "--points sweep.pcd --boxes boxes.csv --sensor RS-80 --height 4.1 --distance 10 50 --losses dropout=0.05",
     )
@@ -480,5 +482,5 @@ def _sensors(subparsers) -> None:
 def _doctor(subparsers) -> None:
     _verb(
         *(subparsers, "doctor", "doctor.run", "", "check the installation"),
-        "Show what is installed and scan a wall with each caster.",
+        "Show what is installed, and check every ray caster on a wall at known distances.",
     )

@@ -103,7 +103,7 @@ def _traffic_text(site: Site) -> str:
 def _assumed_text(site: Site) -> str:
     """What the beam table of a user's own leaves open and is assumed; empty where it says all."""
     assumed = site.model.assumptions.values()
-    return f"Assumed, as its file does not say: {'; '.join(assumed)}" if assumed else ""
+    return f"Assumed, as its file leaves them out: {'; '.join(assumed)}" if assumed else ""
 
 
 def outcome_text(run: RunFolder, where: str) -> str:
@@ -150,7 +150,7 @@ def _tolerance_text(scenario, searched):
         return ""
     settings = asdict(tolerance)
     errors = SEARCHED_BASE[tolerance.aim] ** 2
-    then = f"; searched after the sharp mounting, over {errors} errors of each" if searched else ""
+    then = f"; a second search scores each mounting with {errors} errors" if searched else ""
     return f"{tolerance_text(settings)}: {aim_text(settings)}{then}"
 
 

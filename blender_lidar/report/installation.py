@@ -40,11 +40,12 @@ def installation_text(site: Site, result: Mapping) -> str:
         f"             {_beside(site, mounting)}",
         f"Mast         faces {_bearing(plumb.mast.axes[1], travel)}",
         f"Lean         {_lean(up, travel)}",
-        f"             (before yaw: {mount['tilt_x_deg']:.1f} deg where it faces, {mount['tilt_y_deg']:.1f} deg aside)",
-        f"Yaw          {mount['yaw_deg']:.1f} deg counter-clockwise seen from above; at 0 the zero azimuth of the",
-        "             sensor faces as the mast does",
+        f"             (before yaw: {mount['tilt_x_deg']:.1f} deg down to where the mast faces, "
+        f"{mount['tilt_y_deg']:.1f} deg up to the right of it)",
+        f"Yaw          {mount['yaw_deg']:.1f} deg counter-clockwise seen from above; at 0 the sensor's zero azimuth",
+        "             points where the mast faces",
         f"Cable        zero azimuth faces {_bearing(ahead, travel)};",
-        "             an outlet opposite it, as most spinning sensors have it (see the drawing), faces",
+        "             a cable outlet opposite it, as most spinning sensors have (see the drawing), faces",
         f"             {_bearing(-ahead, travel)}",
         f"Planned for  vehicles {region_text(asdict(site.scenario.region))}, in the frame of the position above",
         "",
@@ -159,4 +160,4 @@ def _errors(result):
     if result.get("tolerance") is None:
         return []
     lines = (f"- {line}" for line in (kept_text(result), costliest_text(result)) if line)
-    return ["", f"If it hangs only nearly so: {tolerance_text(result['tolerance']['settings'])}", *lines]
+    return ["", f"With installation errors of {tolerance_text(result['tolerance']['settings'])}", *lines]

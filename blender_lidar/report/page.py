@@ -233,7 +233,8 @@ def _heading(run: RunFolder):
         traffic = read_toml(scene)["traffic"]
         traffic = " and ".join(Path(one["path"]).name for one in (traffic if isinstance(traffic, list) else [traffic]))
     held = result["holdout"]
-    frames = f"{counted(result['vehicles'], 'vehicle')} in {counted(result['frames'], f'{frames_word(result)} frame')}"
+    boxes = counted(result["vehicles"], "vehicle box")
+    frames = f"{boxes} in {counted(result['frames'], f'{frames_word(result)} frame')}"
     if held:
         frames += f", {held['vehicles']:,} in {counted(held['frames'], 'held-out one')}"
     figures = [element("div", element("dt", what), element("dd", figure)) for what, figure in key_figures(result)]
@@ -256,15 +257,15 @@ def _scores(run: RunFolder):
     words = definitions(result)
     if result.get("tolerance") is not None:
         words["gain kept"] = (
-            "the part of the gain over the baseline that is left with installation errors, each uniform within its "
+            "the share of the gain over the baseline that remains with installation errors, each uniform within its "
             "half-width. The sharp mounting is the best without errors, the robust one the best over all errors."
         )
     if result["holdout"]:
         words |= {
             "held-out frames": "later frames with other vehicles than the searched ones: the search did not use "
             "them, so they are an independent check.",
-            "90 % interval": f"from resampling blocks of {result['block_s']:g} s, because frames close in time "
-            "show the same vehicles.",
+            "90 % interval": f"from resampled blocks of {result['block_s']:g} s, because frames close in time show the "
+            "same vehicles.",
         }
     return _section("Mounting and scores", *map(table_markup, score_tables(result)), terms(words.items()))
 
@@ -285,7 +286,8 @@ def _notes(run: RunFolder):
 def _where(run: RunFolder):
     """Scores by distance and by lane, before and after, with their charts."""
     after = mounting_name(run.result)
-    text = f"Objective per vehicle and detectable share, before (baseline) and after ({after}); vehicles in all frames."
+    text = f"Objective per vehicle and detectable share, before (baseline) and after ({after}). "
+    text += "A vehicle counts once in every frame that shows it."
     tables = [table_markup(table, class_="groups") for table in group_tables(run)]
     drawn = any(run.file(name).exists() for name in CHARTS)
     charts = chart_figures(run, "by_distance.png", "blind_zones.png") if drawn else [element("p", _NO_CHARTS)]

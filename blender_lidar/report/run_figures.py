@@ -83,7 +83,7 @@ def _about(result: Mapping, *, judged: bool = False) -> str:
     metric = "" if result["metric"] == PE_VGOP.name else f", metric {metric_named(result['metric']).name}"
     return (
         f"{result['sensor']}, range gate {result['range_gate_m']:g} m, "
-        f"{counted(result['vehicles'], 'vehicle')} in {counted(result['frames'], 'frame')}{metric}"
+        f"{counted(result['vehicles'], 'vehicle box')} in {counted(result['frames'], 'frame')}{metric}"
         f"{', and held-out frames' if judged and result['holdout'] else ''}"
     )
 

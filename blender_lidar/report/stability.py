@@ -102,7 +102,7 @@ HEADINGS = dict(zip(SECTIONS, ("Traffic", "Mounting tolerance", "Metric", "Senso
 _COLUMNS = ("verdict", "change", "found")
 _JUDGED = {
     "held out": "held-out frames, with 90 % intervals",
-    "searched": "same frames, as nothing is held out, and so without intervals",
+    "searched": "same frames (nothing is held out, so there are no intervals)",
 }
 
 
@@ -123,19 +123,19 @@ def _by_section(result: Mapping) -> dict[str, list[Mapping]]:
 
 def _head(result: Mapping) -> list[str]:
     metric, place = metric_named(result["metric"]), place_text(result["mounting"])
-    origin = f"found by {result['search']}, seed {result['seed']}, to hang as planned"
+    origin = f"found by {result['search']}, seed {result['seed']}"
     if result["answered_frames"] < result["frames"]:
-        origin += f", on {result['answered_frames']} of them"
+        origin += f", on {result['answered_frames']} of the frames"
     if result["mounting_given"]:
         origin = "as given"
     best, base = metric.number(result["objective_per_vehicle"]), metric.number(result["baseline_per_vehicle"])
     return [
         f"{result['sensor']}, {result['frames']} frames, {result['vehicles']:,} vehicle observations, "
         f"{result['caster']}, detail {result['detail']}",
-        f"Mounting in question, {origin}: {place}; {metric.in_unit('objective')} per vehicle {best}, baseline {base}",
-        f"Each change has its own best height and tilt, the other coordinates staying, on {result['varied_frames']} of "
-        f"the searched frames; losses to it are on the {result['judged_frames']} {_JUDGED[result['judged_on']]}, and "
-        "are to be read against the line 'as the scene has it'",
+        f"Mounting, {origin}: {place}; {metric.in_unit('objective')} per vehicle {best}, baseline {base}",
+        f"Under each change the best height and tilt are searched again on {result['varied_frames']} of the searched "
+        "frames, with the other coordinates fixed. A loss is what the mounting lacks to that best one, on the "
+        f"{result['judged_frames']} {_JUDGED[result['judged_on']]}; compare it with the line 'as the scene has it'",
         f"Verdicts - {VERDICT_RULE}",
     ]
 

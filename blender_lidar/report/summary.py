@@ -69,14 +69,14 @@ def mounting_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
 
 
 def direction_text(mount: Mapping[str, float]) -> str:
-    """Which way a sensor leans, as a bearing in the road frame: 0 towards +x, counter-clockwise."""
-    ways = {0.0: "along the road (+x)", 90.0: "to the left across the road (+y)"}
-    ways |= {180.0: "back along the road (-x)", -90.0: "to the right across the road (-y)"}
+    """Which way a sensor leans: the nearest axis of the road frame, and how far it points off that axis."""
+    ways = {0.0: "forward along the road, {}+x", 90.0: "to the left across the road, {}+y"}
+    ways |= {180.0: "back along the road, {}-x", -90.0: "to the right across the road, {}-y"}
     bearing = mount["lean_direction_deg"] + mount.get("facing_deg", 90.0)
     nearest = min(ways, key=lambda way: abs(math.remainder(bearing - way, 360.0)))
     off = math.remainder(bearing - nearest, 360.0)
-    turned = f"{abs(off):.0f}° {'counter-' if off > 0 else ''}clockwise of "
-    return ways[nearest] if abs(off) < 0.5 else turned + ways[nearest]
+    turned = "" if abs(off) < 0.5 else f"{abs(off):.0f}° {'counter-' if off > 0 else ''}clockwise of "
+    return ways[nearest].format(turned)
 
 
 def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
@@ -87,7 +87,7 @@ def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
     if leans:
         parts = [f"{mount['height_m']:.2f} m above the road", "level"]
         if mount["lean_deg"] >= _LEVEL_DEG:
-            parts[1] = f"leaning {mount['lean_deg']:.1f}°, {direction_text(mount)}"
+            parts[1] = f"leaning {mount['lean_deg']:.1f}° {direction_text(mount)}"
         if abs(mount["spin_deg"]) >= _LEVEL_DEG:
             parts.append(f"turned {mount['spin_deg']:.1f}° about its axis")
         if mount["x_m"] or mount["y_m"]:
@@ -97,7 +97,7 @@ def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
     facing = square.get(round(math.remainder(facing, 360.0), 6), f"facing {facing:g}° from +x")
     across = "across it", "along it"
     if facing not in square.values():
-        across = "to where the mast faces", "aside"
+        across = "towards where the mast faces", "sideways"
     tilts = dict(zip(TILTS, across, strict=False))
     leaning = [f"{mount[key]:.1f}° {way}" for key, way in tilts.items() if abs(mount[key]) >= _LEVEL_DEG]
     parts = [f"{mount['height_m']:.2f} m above the road", f"tilted {' and '.join(leaning)}" if leaning else "level"]
@@ -186,11 +186,11 @@ def objective_text(result: Mapping) -> str:
         instead = "" if metric is PE_VGOP else f", with {merit} in place of the entropy"
         return f"Eq. 10 of the paper as printed{instead}"
     if loss is None and metric.of_share:
-        return f"{merit_of} every detectable vehicle, 0 for every other one"
+        return f"{merit_of} every detectable vehicle, 0 for every other vehicle"
     if loss is None:
         return f"{merit_of} every vehicle, detectable or not"
     unit = metric.unit.removesuffix("s") if abs(loss) == 1 else metric.unit
-    return f"{merit_of} every detectable vehicle, less {f'{abs(loss):g} {unit}'.rstrip()} for every other one"
+    return f"{merit_of} every detectable vehicle, minus {f'{abs(loss):g} {unit}'.rstrip()} for every other vehicle"
 
 
 def weights_text(result: Mapping) -> str:
@@ -286,7 +286,7 @@ def _orientation(result):
     mount = result["deployment"]
     if not leans(result):
         return {"tilt across the road": minus(f"{mount['tilt_x_deg']:.1f}°")}
-    way = "" if mount["lean_direction_deg"] is None else f", {direction_text(mount)}"
+    way = "" if mount["lean_direction_deg"] is None else f" {direction_text(mount)}"
     return {f"lean{way}": f"{mount['lean_deg']:.1f}°"}
 
 
@@ -315,7 +315,7 @@ def worst_text(result: Mapping) -> str:
     metric, whole = metric_named(result["metric"]), result["holdout"] if held else result
     worst = (min if metric.higher_is_better else max)(scored, key=lambda name: scored[name]["objective_per_vehicle"])
     values = (metric.amount(scores["objective_per_vehicle"], 1) for scores in (scored[worst], whole))
-    return "of the recordings {} is seen worst: {} per vehicle, {} over all by their weights".format(worst, *values)
+    return "recording {} is seen worst: {} per vehicle, and {} in the weighted mean of all".format(worst, *values)
 
 
 def sensor_text(result: Mapping) -> str:
@@ -392,7 +392,7 @@ def cautions(result: Mapping) -> list[str]:
         upright = key == "lean_deg" and low == 0.0 and place < high - slack  # beyond which nothing lies
         if not low + slack < place < high - slack and not upright:
             whose = "its pole" if key == "height_m" and result.get("pole") else "[deployment]"
-            found.append(f"The best {name} lies on a bound of {whose}; beyond may be better.")
+            found.append(f"The best {name} lies on a bound of {whose}; a value beyond it may be better.")
     if result.get("rungs"):
         tried = sum(rung["candidates"] for rung in result["rungs"])
         found.append(
@@ -441,7 +441,7 @@ def seeds_text(result: Mapping) -> str:
             places.append(f"{name} {min(found):.{_DIGITS[unit]}f} to {max(found):.{_DIGITS[unit]}f} {unit}")
     values = [one["objective_per_vehicle"] for one in spread["seeds"]]
     base, best = result["baseline"]["objective_per_vehicle"], max(values)
-    lacks = f", the least of them with {100 * (best - min(values)) / (best - base):.1f} % less of the gain"
+    lacks = f", the worst of them with {100 * (best - min(values)) / (best - base):.1f} % less gain than the best"
     return f"{len(values)} searches with other seeds ended at {', '.join(places)}{lacks if best > base else ''}"
 
 
@@ -480,7 +480,7 @@ def costliest_text(result: Mapping) -> str:
         name = f"tilt about the sensor's own {'x' if key == 'tilt_x_deg' else 'y'} axis"
     metric = metric_named(result["metric"])
     lost = f"{metric.difference(loss)}{metric.per_vehicle}"
-    return f"of the single errors {name} {sign}{width:g} {unit} costs most: {lost} ({where})"
+    return f"of single installation errors, {name} {sign}{width:g} {unit} costs most: {lost} ({where})"
 
 
 def _against_sharp(result):
@@ -489,15 +489,15 @@ def _against_sharp(result):
     if sharp is None:
         return ""
     if sharp["deployment"] == result["deployment"]:
-        return "the search over the tolerance found no better mounting than the sharp one"
+        return "the search over the tolerance found no mounting better than the sharp one"
     beside = (result["tolerance"]["robust"]["optimised"]["holdout"] or {}).get("over_sharp", {})
     parts = []
     for name, difference in beside.items():
         text = metric.difference(difference["objective_per_vehicle"], sign="+")
         if difference["interval_90"]:
             text += f" (90 %: {span(metric, difference['interval_90'], 0, '+')})"
-        parts.append(f"{'as planned' if name == 'as_planned' else 'over the tolerance'} {text}")
-    start = "beside the sharp mounting the robust one has, per vehicle on held-out frames, "
+        parts.append(f"{text} {'as planned' if name == 'as_planned' else 'over the tolerance'}")
+    start = "on held-out frames the robust mounting has, compared with the sharp one and per vehicle, "
     return start + " and ".join(parts) if parts else ""
 
 

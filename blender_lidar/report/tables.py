@@ -145,7 +145,7 @@ def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarra
     unit = "objective %" if metric.of_share else metric.unit or "objective"
     measures = [(unit, 2), ("detectable %", 2)]
     head = [
-        [("", 1), *((names[split], 4) for split in splits), ("", 1)],
+        [("", 1), *((names[split], 4) for split in splits), ("all frames", 1)],
         [("", 1), *measures * len(splits), ("", 1)],
         [(f"by {name}", 1), *[("before", 1), ("after", 1)] * 2 * len(splits), ("vehicles", 1)],
     ]

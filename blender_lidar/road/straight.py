@@ -32,8 +32,8 @@ class StraightRoad:
     drives_on : str
         The side of the road on which vehicles drive.
     carriageways : int
-        1, which drives along +x; or 2 with a median between them: that on the side of drives_on drives along +x, the
-        other one against it.
+        1, with traffic along +x; or 2 with a median between them: along +x on the side of drives_on, against it on the
+        other.
     median_m : float or None
         Width of the median [m]; 0 where both directions share one carriageway.
     station_m : float
@@ -41,17 +41,17 @@ class StraightRoad:
     right_edge_m : float
         Local_X of the carriageway's right edge [m]; 72 ft on I-80.
     setback_m : float
-        From the line y = 0 to the right edge of the road [m].
+        Distance from the line y = 0 to the right edge of the road [m].
     lanes : int
-        Lanes of a carriageway.
+        Number of lanes of a carriageway.
     lane_width_m : float
         Width of one lane [m].
     grade_percent : float
-        Rise of the road along +x, on 100 m of level way; masts stay plumb.
+        Longitudinal slope: rise of the road along +x [m] per 100 m; masts stay plumb.
     cross_fall_percent : float
-        Fall of the road towards -y, the side of y = 0, on 100 m of level way; below 0 it falls towards +y.
+        Cross-fall: fall of the road towards -y, the side of y = 0 [m] per 100 m; below 0 it falls towards +y.
     crown_percent : float
-        Fall of a carriageway from its middle line to both edges, which lie at z = 0.
+        Fall of a carriageway from its middle line to both edges [m] per 100 m; the edges lie at z = 0.
     """
 
     drives_on: str = setting(SIDES[0], allowed=SIDES[:2])

@@ -29,19 +29,19 @@ class MountingSettings:
     Attributes
     ----------
     x_m : float
-        Along the road, in the direction of travel.
+        Place along the road, positive in the direction of travel.
     y_m : float
-        Across the road, to the left.
+        Place across the road, positive to the left.
     height_m : float
-        Above the road.
+        Height above the road.
     tilt_x_deg : float
-        Tilt across the road: positive looks down to where the mast faces, by default towards +y.
+        Tilt across the road: positive looks down to the side that the mast faces, by default +y.
     tilt_y_deg : float
-        Tilt along the road: positive raises the side to the right of that, by default the side ahead (+x).
+        Tilt along the road: positive raises the side to the right of where the mast faces, by default that ahead (+x).
     yaw_deg : float
-        Turn of the tilted sensor, counter-clockwise seen from above.
+        Rotation of the tilted sensor, counter-clockwise seen from above.
     facing_deg : float or None
-        Which way the mast faces, counter-clockwise from +x; tilts and yaw count from there. By default 90, or what
+        Direction that the mast faces, counter-clockwise from +x; tilts and yaw count from there. By default 90, or what
         [deployment] side says, or towards a road that drives on the left or has two carriageways.
     """
 
@@ -61,11 +61,11 @@ class LeanSettings:
     Attributes
     ----------
     lean_deg : float or None
-        How far the sensor leans from upright, in place of tilts and yaw.
+        Angle between the sensor's axis and the vertical, in place of tilts and yaw.
     lean_direction_deg : float
-        Which way it leans and looks down, counter-clockwise seen from above; 0 is towards +y.
+        Direction in which the sensor leans and looks down, counter-clockwise seen from above; 0 is towards +y.
     spin_deg : float
-        Turn about its own axis, counter-clockwise; it matters only to a sensor with uneven columns.
+        Rotation about the sensor's own axis, counter-clockwise; it matters only to a sensor with uneven columns.
     """
 
     lean_deg: float | None = setting(None, low=0.0, high=90.0, option="--lean", rivals=ANGLES)
@@ -99,9 +99,9 @@ class StandSettings:
     poles : str or None
         CSV of candidate places, in place of x_m and y_m.
     side : str or None
-        Side of the road where the mast stands and from which it faces the road; by default that of [road] drives_on,
-        unless y_m or poles give the place: on roads that drive on the left, or have two carriageways, they face the
-        road from there. A gantry hangs over the lanes.
+        Side of the road where the mast stands, facing the road; by default that of [road] drives_on, unless y_m or
+        poles give the place: on roads that drive on the left, or have two carriageways, these face the road from there.
+        A gantry hangs over the lanes.
     clearance_m : float
         Least height of a LiDAR over the lanes [m], on a gantry.
     """

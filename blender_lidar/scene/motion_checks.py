@@ -123,7 +123,7 @@ def jumps(recording: Recording, tracks: Tracks) -> str | None:
     if report.repeated > max(usual.SOME * report.rows_read, usual.FEWEST):
         return (
             f"{report.repeated:,} of {report.rows_read:,} rows are of a vehicle that is elsewhere in the same frame "
-            "(usual: none); probably several vehicles have one vehicle_id"
+            "(usual: none); probably several vehicles share a vehicle_id"
         )
     if together := _together(tracks):
         return together
@@ -135,8 +135,9 @@ def jumps(recording: Recording, tracks: Tracks) -> str | None:
     if jumping <= max(usual.SOME * tracks.vehicles, usual.FEWEST_TOGETHER):
         return None
     return (
-        f"{jumping:,} of {tracks.vehicles:,} vehicles jump, by {usual.JUMP_M:g} m and more and faster than any drives, "
-        "or there and back (usual: none); probably several vehicles have one vehicle_id, or frames are out of order"
+        f"{jumping:,} of {tracks.vehicles:,} vehicles jump by {usual.JUMP_M:g} m or more, faster than any vehicle "
+        "drives or there and back (usual: none); probably several vehicles share a vehicle_id, or frames are out of "
+        "order"
     )
 
 
@@ -196,14 +197,17 @@ def headings(tracks: Tracks, scenario: Scenario) -> str | None:
     degrees = np.degrees(in_file)
     if (np.abs(degrees) <= 2 * math.pi + 0.02).all():
         meant = {"radians for degrees": degrees, **meant}  # the number was the angle in radians
-    probably = "of another axis than x_m and y_m, one for all where the road bends or has two directions, or of others"
+    probably = (
+        "measured from another axis than x_m, one heading for all although the road bends or has two directions, or "
+        "those of other vehicles"
+    )
     for name, heading in meant.items():
         right = placing.headings(heading)
         if ways.share_astray(right) < 1.0 - usual.MOST and _off_rad(tracks, right) <= usual.OFF_RAD:
             probably = name
             break
     return (
-        f"moving vehicles head {math.degrees(off):.0f} degrees off their motion, place by place (usual: under 2), "
+        f"headings of moving vehicles are {math.degrees(off):.0f} degrees off their motion (usual: under 2), "
         f"{100 * share:.0f} % of them more than 30 (usual: none); probably {probably}"
     )
 
@@ -237,9 +241,9 @@ def _standing_astray(tracks: Tracks) -> str | None:
     if stands.sum() < usual.FEWEST or astray.mean() <= usual.MANY or astray.sum() <= usual.FEW * len(stands):
         return None
     return (
-        f"{100 * astray.mean():.0f} % of the boxes that stand point more than 30 degrees off the way they came or go "
-        "(usual: none), as no vehicle turns on the spot; probably headings are made from the motion, and are noise or "
-        "0 where there is none: keep the last one"
+        f"{100 * astray.mean():.0f} % of the standing boxes point more than 30 degrees off the way they came or go "
+        "(usual: none; no vehicle turns on the spot); probably headings are computed from the motion, and are noise or "
+        "0 where there is none: keep the last heading"
     )
 
 
@@ -253,8 +257,8 @@ def track_notes(recording: Recording, tracks: Tracks) -> Iterator[str]:
         return
     if len(np.unique(of_row[steps.row])) <= usual.SOME * vehicles:
         yield (
-            "next to no vehicle is in more than one frame: frames that are unrelated, or new vehicle numbers in "
-            "each, which then judge what they have chosen"
+            "almost no vehicle is in more than one frame: the frames are unrelated, or vehicles have new numbers in "
+            "each frame, and then the check on held-out traffic is not independent"
         )
         return
     first = np.flatnonzero(np.diff(of_row, prepend=-1))
@@ -274,13 +278,14 @@ def track_notes(recording: Recording, tracks: Tracks) -> Iterator[str]:
         (
             copied,
             usual.MANY,
-            f"{100 * copied:.0f} % of the frames are there again to the centimetre {later_s:g} s later, with other "
-            "vehicles: if the same minutes are there more than once, what is held out is what was searched",
+            f"{100 * copied:.0f} % of the frames come again to the centimetre {later_s:g} s later, under other "
+            "vehicle numbers: if the recording holds the same minutes twice, held-out frames are copies of searched "
+            "ones",
         ),
         (
             standing,
             1.0 - usual.SOME,
-            f"next to no vehicle moves in {np.ptp(recording.frame_time_s):.0f} s: a jam, or a car park?",
+            f"almost no vehicle moves in {np.ptp(recording.frame_time_s):.0f} s: a jam, or a car park?",
         ),
         (
             turning,
@@ -302,7 +307,7 @@ def track_notes(recording: Recording, tracks: Tracks) -> Iterator[str]:
         (
             again,
             usual.SOME,
-            f"{100 * again:.0f} % of the vehicles come again from behind: if ids are reused, the later "
+            f"{100 * again:.0f} % of the vehicles jump back and drive past again: if ids are reused, the later "
             "vehicles are left out of the check on held-out traffic",
         ),
     ):

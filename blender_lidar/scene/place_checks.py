@@ -153,9 +153,9 @@ def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accept
     share = against[there].mean() if there.sum() >= usual.FEWEST else 0.0
     if share > usual.SOME:
         yield (
-            f"{100 * share:.0f} % of the region's boxes on {placed.name}, drive against the direction of their lane "
-            "and count as the others do; if they belong to another carriageway, check [road] setback_m and lanes, or "
-            "give [region] keep_out"
+            f"{100 * share:.0f} % of the region's boxes on {placed.name}, drive against the direction of their lane, "
+            "and they count; if they belong to another carriageway, check [road] setback_m and lanes, or give [region] "
+            "keep_out"
         )
     nearly = np.arctan(np.tan(heading[there & (np.abs(np.sin(heading)) < math.sin(usual.DRIFT_RAD[1]))]))  # both ways
     drift, length = float(np.median(nearly)) if len(nearly) >= usual.FEWEST else 0.0, 2.0 * placed.region.radius_m
@@ -169,16 +169,16 @@ def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accept
     yield from _lane_notes(t[inside & along], scenario)
     pairs, boxes = _overlapping(recording)
     if usual.SOME * boxes < pairs <= usual.OVERLAPPING * boxes:
-        yield f"{100 * pairs / boxes:.0f} pairs of boxes overlap among 100 (usual: none, or a few)"
+        yield f"{100 * pairs / boxes:.0f} pairs among 100 boxes overlap (usual: none, or a few)"
     drives_on, beside = scenario.road.drives_on, against & ((t < low) | (t > high))
     wrong = beside & (t < low if drives_on == SIDES[0] else t > high)
     travels = there.sum() >= usual.FEWEST and share < usual.HALF
     if travels and wrong.sum() >= usual.FEWEST and wrong.sum() > usual.MOST * beside.sum():
         other = SIDES[1] if drives_on == SIDES[0] else SIDES[0]
         yield (
-            f"those who come the other way drive to the {drives_on} of {placed.name}, at {_span('y', t[wrong])}: "
-            f"{other}-hand traffic, or y is mirrored in the file; for the first give [road] drives_on = "
-            f'"{other}": a pole on the {drives_on} stands between both directions, not at the roadside'
+            f"oncoming vehicles drive to the {drives_on} of {placed.name}, at {_span('y', t[wrong])}: either this is "
+            f'{other}-hand traffic ([road] drives_on = "{other}"), where a pole on the {drives_on} stands between both '
+            "directions and not at the roadside, or y is mirrored in the file"
         )
 
 
@@ -195,15 +195,15 @@ def _lane_notes(t: np.ndarray, scenario: Scenario) -> Iterator[str]:
     if abs(apart / width - 1.0) > usual.WIDER:
         yield (
             f"vehicles drive in {len(lanes)} lanes {apart:.2f} m apart, but [road] lane_width_m is {width:g} m; if "
-            "that is right, check the unit and scale of the places"
+            "that is right, check the unit and the scale of the file's x and y"
         )
         return
     off = np.abs(lanes[:, None] - scenario.road_map.offset_m).min(axis=1) / width
     off = width * np.abs(off - np.rint(off))
     if off.min() > usual.OFF_LANE_M:
         yield (
-            f"vehicles drive {off.mean():.1f} m beside the middles of the lanes of [road], at y "
-            f"{', '.join(f'{one:.1f}' for one in lanes)} m; check [road] setback_m and where the file's origin is put"
+            f"vehicles drive {off.mean():.1f} m beside the lane centres of [road], at y "
+            f"{', '.join(f'{one:.1f}' for one in lanes)} m; check [road] setback_m and the place of the file's origin"
         )
 
 
@@ -224,13 +224,13 @@ def overlaps(recording: Recording) -> str | None:
         return None
     twice = _in_one_place(recording)
     if usual.FEW * boxes < twice <= most * boxes:
-        return f"{twice:,} of {boxes:,.0f} boxes stand where another one does; probably vehicles are there twice"
+        return f"{twice:,} of {boxes:,.0f} boxes stand where another one stands; probably vehicles are listed twice"
     if pairs <= most * boxes:
         return None
     return (
-        f"{pairs:,} pairs of boxes overlap among {boxes:,.0f} (usual: none, or a few in a hundred); probably vehicles "
-        "are there twice under other ids, sizes are too large (of SUMO's: give vehicle_types), or places are not the "
-        "boxes' centres (but bumpers), or not in metres (but degrees of longitude and latitude, or feet)"
+        f"{pairs:,} pairs among {boxes:,.0f} boxes overlap (usual: none, or a few in a hundred); probably vehicles are "
+        "listed twice under different ids, sizes are too large (SUMO: give vehicle_types), x and y are bumpers and not "
+        "box centres, or they are in feet or in degrees of longitude and latitude and not in metres"
     )
 
 

@@ -60,7 +60,7 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
             continue  # they follow from a warning that is there already
         text = check(seen)
         if text and name not in (scenario.traffic.accept or ()):
-            raise InputError(f"{recording.source}: {text}; to go on all the same: --accept {name}")
+            raise InputError(f"{recording.source}: {text}; if it is right, go on with --accept {name}")
         if text:
             seen.warnings[name] = text
     notes = [*recording.report.notes, *_size_notes(seen), *track_notes(recording, seen.tracks)]
@@ -113,8 +113,8 @@ def _heights_alike(sample: Recording) -> str | None:
     alike = (np.abs(other - car) <= usual.ALIKE_M).all()
     if alike or (other[0] > usual.LONG_M and other[2] <= car[2] + usual.HIGHER_M):
         return (
-            f"a median truck or bus is {_by(other)} m, as high as a median car, {_by(car)} m (usual: 3 to 4 m and "
-            "1.5); probably one size or height for all: give height_m by class"
+            f"the median truck or bus, {_by(other)} m, is as high as the median car, {_by(car)} m (usual: 3 to 4 m and "
+            "1.5 m); probably all vehicles were given one size or height: give height_m by class"
         )
     return None
 
@@ -125,9 +125,9 @@ def _heights_of_middles(sample: Recording) -> str | None:
     if len(z) < usual.FEWEST or (np.abs(z - half) <= usual.OFF_MIDDLE_M).mean() >= usual.HALF:
         return None
     return (
-        f"the boxes' middles lie {np.median(z):.3g} m above the road (usual: half their heights, "
-        f"{np.median(half):.2g} m); probably z_m is of floors, of tops or above sea: leave the column out, and they "
-        "stand on the road"
+        f"the box centres lie {np.median(z):.3g} m above the road (usual: half their heights, "
+        f"{np.median(half):.2g} m); probably z_m is the height of floors or tops, or above sea level: leave the column "
+        "out, and the boxes stand on the road"
     )
 
 
@@ -142,8 +142,8 @@ def _size_notes(seen: _Seen) -> Iterator[str]:
     repaired, vehicles = recording.report.sizes_repaired, len(np.unique(recording.vehicle_id))
     if repaired > max(usual.HALF * vehicles, 1):
         yield (
-            f"{repaired:,} of {vehicles:,} vehicles have a size that is missing or absurd for their class, and that of "
-            "another was taken; check v_Length and v_Width, in feet, and v_Class (2 cars, 3 trucks)"
+            f"{repaired:,} of {vehicles:,} vehicles have a size that is missing or absurd for their class, and were "
+            "given a usual one; check v_Length and v_Width, in feet, and v_Class (2 cars, 3 trucks)"
         )
 
 

@@ -58,18 +58,17 @@ class TrafficSettings:
     Attributes
     ----------
     name : str or None
-        What it is called where there are several recordings; by default the file's name.
+        Name of the recording where there are several; by default the file's name.
     weight : float
-        How much the recording counts where there are several, however many frames it has: hours of the day, for
-        instance.
+        Weight of the recording among several, independent of its number of frames: hours of the day, for instance.
     path : str
-        Trajectory file; gzip is fine.
+        Trajectory file, plain or packed with gzip.
     format : str
-        Format of that file; auto looks at its beginning.
+        Format of that file; auto finds it from the file's first lines.
     period : str or None
         Recording period of an NGSIM file: 1, 2 ... or 0400-0415.
     location : str or None
-        Site of a file that mixes several: i-80.
+        Site to read from a file that holds several: i-80.
     origin_m, heading_deg
         Origin of the road frame in the file's frame [m], and direction of its x axis there, counter-clockwise from the
         file's +x; for SUMO and tables.
@@ -82,11 +81,11 @@ class TrafficSettings:
     frames : int or None
         Number of searched frames, spread evenly; 30 unless frame_ids or spacing_s is given.
     frame_ids : tuple of int or None
-        Numbers of the searched frames: 100,150 or 100:160:5, its end included.
+        Numbers of the searched frames: 100,150 or 100:160:5 (its end included).
     spacing_s : float or None
         Time between the searched frames [s], in place of their number or with it.
     holdout : float
-        Share of the recording, at its end, that is held out: not searched, and used to judge the mounting.
+        Share of the recording, at its end, that the search does not use and on which the mounting is judged.
     block_s : float or None
         Length of the blocks of time that intervals resample [s]; by default as long as 95 % of the vehicles stay in the
         region.
@@ -94,7 +93,8 @@ class TrafficSettings:
         Heights by class [m], where the recording gives none, as NGSIM's; by default car 1.5, van 1.9, truck 3.0,
         long_truck 3.8 (from 9 m on), bus 3.2, motorcycle 1.4.
     accept : tuple of str or None
-        Go on although the traffic looks wrong, may be repeated; NAME is the warning that stopped the run.
+        Go on in spite of a warning about the traffic, which is then printed with the results; may be repeated; NAME is
+        the warning that stopped the run.
     """
 
     name: str | None = setting(None)
@@ -134,24 +134,24 @@ class SensorSettings:
     rotation_hz : float
         Turns per second; by default the model's.
     columns : int
-        Columns a turn, where the model has a choice, as an Ouster: 512, 1024 (default) or 2048.
+        Columns per turn, for models that offer several, as Ouster's do: 512, 1024 (default) or 2048.
     range_gate_m : float
-        How far the LiDAR is asked to see [m]; by default the model's range.
+        Range within which vehicles are to be seen [m]; by default the model's range.
     range_noise_m : float
-        Standard deviation of the range noise; datasheet takes the model's.
+        Standard deviation of the range noise; datasheet takes the value of the sensor's table.
     dropout : float
         Probability that a return is lost.
     glass_dropout : float
-        Further probability that a return from glass is lost; at 1 windows return nothing.
+        Additional probability that a return from glass is lost; at 1 windows return nothing.
     range_at_10_percent_m : float or None
         Range at which a target of 10 percent reflectivity is just seen; weaker returns are lost; datasheet takes the
-        model's.
+        value of the sensor's table.
     unit_spread_deg : float
         Standard deviation of each ring's elevation and azimuth offset from one unit to the next.
     unit : int
-        Number of the unit: another one has other beams, where unit_spread_deg is not 0.
+        Number of the unit; where unit_spread_deg is not 0, each unit has slightly different beams.
     noise_seed : int
-        Seed of the noise and of the lost returns; another seed gives another draw.
+        Random seed of noise and lost returns.
     """
 
     name: str = setting("RS-16", option="--sensor")
@@ -263,20 +263,20 @@ class ObjectiveSettings:
     Attributes
     ----------
     metric : str
-        The metric that is maximised.
+        Metric that is maximised.
     reading : str
-        The paper's equations: corrected, or paper, as printed.
+        Form of the paper's equations: corrected, or paper for those as printed.
     cell_m : float
         Side of an occupancy cell [m].
     threshold, view
         Least occupancy of a detectable vehicle, and whether the mean, the largest or the smallest of its three views
         must reach it.
     loss : float or None
-        What a vehicle below the threshold adds, in the metric's unit; by default -1 with pe-vgop, and the metric's own
-        value with any other.
+        Score of a vehicle below the threshold, in the metric's unit; by default -1 with pe-vgop, and the vehicle's own
+        value with any other metric.
     tolerance : Tolerance or None
-        Installation errors, as half-widths: tilt_deg=1,height_m=0.05, also yaw_deg; aim=mean (default) maximises the
-        mean over them, aim=low what nine of ten installations reach; none: the LiDAR hangs as planned.
+        Installation errors to allow for, to either side: tilt_deg=1,height_m=0.05, also yaw_deg; aim=mean (default)
+        maximises the mean over these errors, aim=low what nine of ten installations reach; none: no errors.
     class_weights : mapping
         Weight of each class in the objective; by default 1.
     zones : tuple
@@ -309,11 +309,11 @@ class SearchSettings:
         Full: every mounting is scored on all frames with all beams; auto: most mountings are screened on fewer, and
         only the best are scored on all.
     seed : int
-        Seed of all that is random, but for noise, clutter and variety, which have their own.
+        Random seed of all but noise, clutter and variety, which have seeds of their own.
     particles : int
-        Size of the swarm, of hardened (at most a tenth of the evaluations) and de-pso.
+        Particles of the swarm, for hardened (at most a tenth of the evaluations) and de-pso.
     iterations : int
-        Every method may score particles x iterations mountings.
+        Iterations; every method may score particles x iterations mountings.
     seeds : int
         Number of searches with different seeds, of which the best result is taken; by default 3 where more than two
         coordinates are searched, else 1.
@@ -373,21 +373,22 @@ class WorldSettings:
     detail : str
         Level of detail of the vehicles: box; body, with hood, cabin and cargo box; detailed, a few hundred triangles.
     ground : bool
-        Whether the road returns in scans; false where a file of yours brings the ground.
+        Whether scans have returns from the road; false where a file of your own contains the ground.
     blend, mesh : str or None
         A site of your own: a .blend, or a mesh file that Blender reads.
     origin_m, heading_deg
         Origin of the road frame in the frame of these files [m], and direction of its x axis there.
     boxes, barriers : tuple
-        What stands still and hides vehicles; the how-to has the keys of an entry.
+        Fixed objects that hide vehicles; the how-to has the keys of an entry.
     clutter : float
-        Random roadside clutter (signs, trees, pedestrians ...): 0 none, 1 some 14 things on 100 m of each side.
+        Density of random roadside clutter (signs, trees, pedestrians ...): 0 is none, 1 some 14 objects on 100 m of
+        each side.
     clutter_seed : int
-        Seed of the clutter; another seed gives another draw.
+        Random seed of the clutter.
     variety : float
         How much vehicles of a class differ in height and body: 0 not at all, 1 as in a real fleet.
     variety_seed : int
-        Seed of the heights and bodies; another seed gives another draw.
+        Random seed of heights and bodies.
     """
 
     detail: str = setting("body", allowed=DETAILS, option="--detail")
@@ -423,9 +424,9 @@ class ModelSettings:
     Attributes
     ----------
     caster : str
-        What casts the rays; auto takes the first of raster, embree and bvh that is installed.
+        Ray caster; auto takes the first of raster, embree and bvh that is installed.
     workers : int
-        Number of processes; 0 is one for each processor.
+        Number of worker processes; 0 is one for each processor.
     cluster : str or None
         Address of a dask scheduler whose workers are used in place of processes: tcp://host:8786.
     """

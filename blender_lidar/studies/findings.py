@@ -32,7 +32,7 @@ UNDECIDED = "undecided"  # nothing to judge by: too few blocks, or an objective 
 VERDICTS = (STABLE, FRAGILE, FAILS, UNDECIDED)
 MOST_STABLE_LOSS, MOST_FRAGILE_LOSS = 0.05, 0.20  # shares of the gain over the baseline
 VERDICT_RULE = (
-    f"stable: the mounting loses at most {100 * MOST_STABLE_LOSS:g} % of the gain that it could have; fragile: at most "
+    f"stable: the mounting loses at most {100 * MOST_STABLE_LOSS:g} % of the possible gain; fragile: at most "
     f"{100 * MOST_FRAGILE_LOSS:g} %; fails: more, and surely more than {100 * MOST_STABLE_LOSS:g} %; undecided: "
     "either every mounting is equally good, or there is too little traffic"
 )

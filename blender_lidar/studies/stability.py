@@ -240,7 +240,7 @@ def _installation(
     """The mounting off its plan, on the frames that judge: its gain, what errors keep of it and what each costs."""
     block = split_of(site, judging)[1]
     with (
-        folder.counting(1, "installed only nearly so") as shown,
+        folder.counting(1, "installation errors") as shown,
         site_evaluator(site, site.search, site.holdout) as evaluator,
     ):
         judge = evaluator.held_out if judging == HELD_OUT else evaluator
