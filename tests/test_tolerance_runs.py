@@ -187,7 +187,7 @@ def kept_on_held_out(result: dict) -> list[str]:
 def test_the_table_shows_both_optima_and_what_they_keep(runs, tmp_path, capsys):
     shutil.copytree(runs / "robust", tmp_path / "run")
     out, _ = done(capsys, "optimise", runs / "scene.toml", *WORDS, "--out", tmp_path / "run", "--resume")
-    assert "Tolerance  +/-0.3 m of height, +/-4 deg of either tilt: mean; searched after" in out
+    assert "Tolerance  +/-0.3 m of height, +/-4 deg of either tilt: mean; a second search scores" in out
     lines = out.splitlines()
     heading = next(line for line in lines if line.startswith("Mounting"))
     assert heading.split() == ["Mounting", "baseline", "sharp", "robust"]
