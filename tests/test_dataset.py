@@ -102,6 +102,15 @@ def test_headings_turn_with_the_mirror():
     turned = dataset._moved(vehicles, 2.0, True, np.array([1.0, 0.0]))
     np.testing.assert_allclose(np.degrees(turned.heading_rad), [170.0, -10.0])
     np.testing.assert_allclose(turned.centre_m[:, 0], [-3.0, -4.0])
+    cos, sin = np.cos(0.7), np.sin(0.7)  # a road that runs another way
+
+    def other_way(seen):
+        centre = seen.centre_m @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return replace(seen, centre_m=centre, heading_rad=seen.heading_rad + 0.7)
+
+    there, expected = dataset._moved(other_way(vehicles), 2.0, True, np.array([cos, sin])), other_way(turned)
+    np.testing.assert_allclose(there.centre_m, expected.centre_m)
+    np.testing.assert_allclose(np.exp(1j * there.heading_rad), np.exp(1j * expected.heading_rad))
 
 
 def test_points_are_those_of_the_cloud_and_lie_in_their_boxes(plan):

@@ -19,6 +19,7 @@ from ..casting.culling import Pieces, reachable_beams
 from ..casting.protocol import StandingScenery
 from ..clouds.scan import FrameScan, PointCloud, Turn
 from ..road.road_map import RoadMap
+from ..scene import usual
 from ..scene.mounting import Mounting
 from ..scene.observation import Observation
 from ..scene.provenance import versions
@@ -38,7 +39,6 @@ _GOLDEN = (5.0**0.5 - 1.0) / 2.0  # multiples of it are spread evenly, any run o
 _COVERED = (1.0, 99.0)  # percentiles of the vehicles' places along the road between which a recording has traffic
 _ALONG, _ALONG_SHARE = math.radians(15.0), 0.95  # of the vehicles, on a straight road
 _MOST_DRAWS = 50  # of a station at which the LiDAR stands beside the traffic
-_ABREAST_M = 20.0  # along the road: what passes a pole has been or will be there
 _TOUCHING_M = 1e-6  # what touches a pole is in its way
 _MOUNTINGS, _SCANS = range(2)  # streams of random numbers
 
@@ -279,10 +279,10 @@ class _Stations:
         pole = station_m * self._axis + (mount.xy @ _mirror(self._axis) if mirrored else mount.xy)
         centre, size, heading = self._boxes
         along, across = np.abs(self._places - self._frame @ pole).T
-        near = np.flatnonzero((across <= self._reach) & (along <= self._reach + _ABREAST_M))
+        near = np.flatnonzero((across <= self._reach) & (along <= self._reach + usual.ABREAST_M))
         if self._over_lanes([mount.xy])[0]:  # on a gantry: what is lower than the LiDAR passes below it
             near = near[centre[near, 2] + 0.5 * size[near, 2] >= mount.pose.height_m]
-        passing = pole, np.array([_ABREAST_M, 0.0]) + _TOUCHING_M, math.atan2(self._axis[1], self._axis[0])
+        passing = pole, np.array([usual.ABREAST_M, 0.0]) + _TOUCHING_M, math.atan2(self._axis[1], self._axis[0])
         return not rectangles_overlap(centre[near, :2], 0.5 * size[near, :2], heading[near], *passing).any()
 
 

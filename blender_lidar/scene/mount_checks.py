@@ -26,7 +26,6 @@ from .settings import BarrierSettings, BoxSettings
 
 # --- Where masts stand and LiDARs hang, beside the lanes, the traffic and what stands still ---------------------------
 
-_ABREAST_M = 20.0  # what passes this near to a mast has been or will be beside it
 _TOUCHING_M = 1e-6  # a mount that touches a vehicle counts as inside
 _MOST_STEPS = 400  # along each side of a searched rectangle: half a lane apart, where it is no larger
 
@@ -142,7 +141,7 @@ def _driven_over(frames: Sequence[Vehicles], reach: _Reach) -> str:
         np.concatenate([getattr(vehicles, key) for vehicles in frames]) for key in ("centre_m", "size_m", "heading_rad")
     )
     off = np.hypot(*(xy[:, :2] - np.clip(xy[:, :2], low, high)).T)
-    near, turn = off <= _ABREAST_M + 0.5 * size[:, 0], heading - facing
+    near, turn = off <= usual.ABREAST_M + 0.5 * size[:, 0], heading - facing
     ahead = (xy[:, :2] - 0.5 * (low + high)) @ (math.cos(facing), math.sin(facing))
     half = 0.5 * (size[:, 0] * np.abs(np.cos(turn)) + size[:, 1] * np.abs(np.sin(turn)))
     first, last = (ahead - half)[near].min(), (ahead + half)[near].max()

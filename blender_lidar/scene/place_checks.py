@@ -24,8 +24,8 @@ class Placed:
 
     Attributes
     ----------
-    s, t : ndarray, (n,)
-        Along and across the road, to the left [m].
+    t : ndarray, (n,)
+        Across the road, to the left [m].
     heading_rad : ndarray, (n,)
         From the direction in which their lane drives [rad].
     vehicle : ndarray, (n,) int
@@ -36,7 +36,6 @@ class Placed:
     region : Region
     """
 
-    s: np.ndarray
     t: np.ndarray
     heading_rad: np.ndarray
     vehicle: np.ndarray
@@ -55,7 +54,7 @@ class Placed:
         part = recording.where(np.bincount(near, minlength=len(recording)) > 0)
         at = road.locate(part.centre_m, part.heading_rad)
         heading = part.heading_rad - at.heading_rad
-        return cls(at.s_m, at.t_m, heading, part.vehicle_id, region.holds(part), at.lane >= 0, road.edges_t, region)
+        return cls(at.t_m, heading, part.vehicle_id, region.holds(part), at.lane >= 0, road.edges_t, region)
 
     @property
     def name(self) -> str:

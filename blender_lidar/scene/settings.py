@@ -192,7 +192,10 @@ class SensorSettings:
 
 @dataclass(frozen=True, slots=True)
 class StretchSettings:
-    """An entry of [[region.stretches]]: a stretch of the carriageway, or of some of the recording's lanes."""
+    """An entry of [[region.stretches]]: a stretch of the carriageway, or of some of the recording's lanes.
+
+    `x_m` are stations along the road, as those of a barrier are.
+    """
 
     x_m: tuple[float, float] = setting(
         **_REACH, fits=lambda x: x[0] < x[1], form="a pair [from, to], to more than from"
@@ -348,7 +351,7 @@ class BoxSettings:
 
 @dataclass(frozen=True, slots=True)
 class BarrierSettings:
-    """An entry of [[world.barriers]]: a barrier along the line y = `y_m` between two x."""
+    """An entry of [[world.barriers]]: a barrier along the road, `y_m` from its reference line, between two stations."""
 
     kind: str = setting(allowed=BARRIERS)
     y_m: float = setting(**_REACH)

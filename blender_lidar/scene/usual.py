@@ -55,6 +55,7 @@ WIDER = 0.08  # of a lane's width: a map's scale is right to 2 %, feet or a proj
 
 # --- Mounting and sensor
 ROUND_DEG, DECIMALS = 5.0, 2  # degrees that people choose; digits that they write radians with
+ABREAST_M = 20.0  # what passes this near to a mast has been or will be beside it
 HIGHEST_M = 20.0  # gantries and lamps end at 12
 NOISE_M = 0.2  # data sheets: 0.01 to 0.05
 AWAY = 0.5  # cosine to the opposite direction: what looks down farther than this from it looks away

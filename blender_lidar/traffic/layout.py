@@ -1,5 +1,6 @@
 """Estimating a road's layout from trajectories: its direction, carriageways, lanes, and a place for a pole at the kerb.
 
+What is proposed is a straight road, the one road without a map of its own; it and its writers know the settings of one.
 Where vehicles drive across the road gives its lanes (`lanes`); what lies where nobody drives cannot be seen. Positions
 are those of `Recording`, read with no placing of its own: the file's plane. Left-hand traffic is looked at in a mirror,
 where it drives on the right: the kerb is to the right throughout, until the result is mirrored back.
