@@ -13,15 +13,14 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import tests.research  # noqa: F401
-from compare_kitti import (
-    BEARINGS,
+from compare_kitti import BEARINGS, main
+from resampled_correlations import (
     Clusters,
     centred_ranks,
     cluster_bootstrap,
     correlation,
     cross_validated_r2,
     group_means,
-    main,
     of_correlation,
     of_difference,
     orthogonal,
