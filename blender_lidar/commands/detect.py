@@ -22,8 +22,9 @@ from ..detection.judge import (
     judge_detector,
     judged_from_file,
     judging_frames,
+    weights_of,
 )
-from ..detection.pillars import SHIPPED, PillarsDetector, load_weights
+from ..detection.pillars import PillarsDetector, load_weights
 from ..detection.scores import CRITERIA
 from ..detection.stored import (
     check_clouds,
@@ -38,6 +39,7 @@ from ..files import check_folder, check_unused, make_folder, write_text
 from ..report.cloud_figures import draw_detections
 from ..report.detection import detection_table, detection_text
 from ..report.summary import as_sentence, region_text, warnings_text
+from ..report.tables import table_text
 from ..run.folder import DETECTION
 from ..scene.mounting import Mounting
 from ..scene.provenance import versions
@@ -49,7 +51,7 @@ from ..toml_table import settings_of
 from ..traffic.boxes import DetectedBoxes
 from .options import default_folder, given_options, mounting_from, new_folder, scenario_from
 from .progress import Progress
-from .report import note, say_result, table_text
+from .report import note, say_result
 
 _PICTURE = "detections.png"
 _OURS = (DETECTION, _PICTURE, "detections.csv", "detections_baseline.csv", "label_2", "label_2_baseline")
@@ -89,7 +91,7 @@ def check_detector(detector: str) -> None:
     if detector == ClassicalDetector.name:
         dbscan_class()
     elif is_weights(detector) or detector == PillarsDetector.name:
-        load_weights(SHIPPED if detector == PillarsDetector.name else detector)
+        load_weights(weights_of(detector))
     elif not Path(detector).exists():
         raise MissingFileError(f"--detector: {detector}: there is no such file; allowed: {', '.join(DETECTORS)}, FILE")
 

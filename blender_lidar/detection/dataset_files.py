@@ -6,13 +6,11 @@ are written at the end.
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +33,8 @@ from ..files import (
 from ..names import DATASET_LAYOUTS
 from ..scene.mounting import MOUNTED
 from ..scene.provenance import check_identity
+from ..traffic.source import Column, TableLayout, fields_of, first_lines, read_rows
+from ..traffic.table import BOX_COLUMNS
 from ..traffic.vehicles import CLASSES
 from .dataset import TRAIN, VAL, DatasetPlan, Sample, sample
 from .files import kitti_camera, kitti_labels
@@ -64,6 +64,36 @@ def read_json(path: Path, what: str) -> dict:
     if not isinstance(content, dict):
         raise InputError(f"{path}: is damaged: it holds no table; make the data set again, in another folder")
     return content
+
+
+WHOLE = Column("a whole number of at least 0", low=0, whole=True)
+_FLAG = Column("0 or 1", 0, 1, whole=True)
+_OF_BOXES = {
+    **{name: column for name, column in BOX_COLUMNS.items() if name not in ("time_s", "lane")},
+    **dict.fromkeys(("vehicle_id", "points"), WHOLE),
+    **dict.fromkeys(("labelled", "counted"), _FLAG),
+    "visibility": Column("a share, 0 to 1", 0.0, 1.0),
+}
+
+
+def read_columns(path: Path, columns: Mapping[str, Column], text: str) -> dict[str, np.ndarray]:
+    """Columns of a table of a data set: numbers, and one of texts."""
+    line, header = first_lines(path)[0]
+    layout = TableLayout(fields_of(header), ",", line + 1)
+    layout.check([*columns, text], (), f"{path}:{line}")
+    parts = list(read_rows(path, layout, columns, [text]))
+    found = {
+        name: np.concatenate([np.zeros(0), *(rows.numbers(name, column) for rows in parts)])
+        for name, column in columns.items()
+    }
+    return {**found, text: np.array([word for rows in parts for word in rows.columns[text].tolist()], dtype=str)}
+
+
+def read_boxes(folder: Path, number: int) -> dict[str, np.ndarray]:
+    """The boxes of a scan, its columns (v,): whole numbers and flags as such."""
+    table = read_columns(folder / BOXES / f"{file_name(number)}.csv", _OF_BOXES, "class")
+    kinds = {"vehicle_id": np.int64, "points": np.int64, "labelled": bool, "counted": bool}
+    return table | {name: table[name].astype(kind) for name, kind in kinds.items()}
 
 
 # --- The folder -------------------------------------------------------------------------------------------------------
@@ -139,42 +169,40 @@ class DatasetFolder:
 
     def _finish(self, plan: DatasetPlan, layouts: Sequence[str], about: Mapping[str, object]) -> dict[str, object]:
         """Write lists, tables and, last, dataset.json."""
-        rows = [self._read_boxes(number) for number in range(len(plan))]
-        write_columns(self.path / SCANS, _scan_columns(plan, rows), {"station_m": 6})
+        tables = [read_boxes(self.path, number) for number in range(len(plan))]
+        write_columns(self.path / SCANS, _scan_columns(plan, tables), {"station_m": 6})
         for layout in layouts:
             if layout == "nuscenes":
-                _finish_nuscenes(self.path / layout, plan, rows)
+                _finish_nuscenes(self.path / layout, plan, tables)
             elif layout != "npz":
                 make_folder(self.path / layout / "ImageSets", "--out")
                 for split in (TRAIN, VAL):
                     # Loaders of KITTI's layout fail at a scan without a label.
-                    listed = (scan for scan, boxes in zip(plan.scans, rows, strict=True) if _has_label(boxes))
+                    listed = (scan for scan, boxes in zip(plan.scans, tables, strict=True) if _has_label(boxes))
                     names = "".join(f"{file_name(scan.number)}\n" for scan in listed if scan.split == split)
                     write_text(self.path / layout / "ImageSets" / f"{split}.txt", names)
         splits = {
-            split: [one for scan, one in zip(plan.scans, rows, strict=True) if scan.split == split]
+            split: [one for scan, one in zip(plan.scans, tables, strict=True) if scan.split == split]
             for split in (TRAIN, VAL)
         }
         result = dict(about)
         for split, of_split in splits.items():
-            labelled = [row for one in of_split for row in one if row["labelled"] == "1"]
+            labelled = {
+                key: np.concatenate([np.zeros(0), *(one[key][one["labelled"]] for one in of_split)])
+                for key in ("points", "counted", "vehicle_id")
+            }
             result[split] = {
                 "scans": len(of_split),
                 "without_labels": sum(not _has_label(one) for one in of_split),
                 "frames": len({scan.frame for scan in plan.scans if scan.split == split}),
-                "labelled": len(labelled),
-                "with_return": sum(int(row["points"]) > 0 for row in labelled),
-                "counted": sum(row["counted"] == "1" for row in labelled),
-                "different_vehicles": len({row["vehicle_id"] for row in labelled}),
+                "labelled": len(labelled["points"]),
+                "with_return": int((labelled["points"] > 0).sum()),
+                "counted": int(labelled["counted"].sum()),
+                "different_vehicles": len(np.unique(labelled["vehicle_id"])),
             }
         write_text(self.path / DATASET, json.dumps(result, indent=2) + "\n")
         (self.path / UNFINISHED).unlink(missing_ok=True)
         return result
-
-    def _read_boxes(self, number: int) -> list[dict[str, str]]:
-        path = self.path / BOXES / f"{file_name(number)}.csv"
-        with reading(path, "a table of a data set"):
-            return list(csv.DictReader(StringIO(read_text(path))))
 
     def _read(self, name: str, identity: Mapping[str, object]) -> dict | None:
         """The content of a file, None where it is not there; that of another plan is refused."""
@@ -186,7 +214,7 @@ class DatasetFolder:
         return content
 
 
-def _scan_columns(plan: DatasetPlan, rows: Sequence[Sequence[Mapping[str, str]]]) -> dict[str, np.ndarray]:
+def _scan_columns(plan: DatasetPlan, tables: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """The columns of scans.csv."""
     scans = plan.scans
     columns = {
@@ -200,9 +228,8 @@ def _scan_columns(plan: DatasetPlan, rows: Sequence[Sequence[Mapping[str, str]]]
         **{f"hangs_{key}": [scan.hangs.as_table()[key] for scan in scans] for key in MOUNTED},
         "station_m": [scan.station_m for scan in scans],
         "mirrored": [scan.mirrored for scan in scans],
-        "labelled": [sum(row["labelled"] == "1" for row in one) for one in rows],
-        "counted": [sum(row["counted"] == "1" for row in one) for one in rows],
-        "vehicle_points": [sum(int(row["points"]) for row in one) for one in rows],
+        **{key: [int(one[key].sum()) for one in tables] for key in ("labelled", "counted")},
+        "vehicle_points": [int(one["points"].sum()) for one in tables],
     }
     return {name: np.array(values) for name, values in columns.items()}
 
@@ -226,9 +253,9 @@ class _ScanWriter:
         return number
 
 
-def _has_label(boxes: Sequence[Mapping[str, str]]) -> bool:
-    """Whether formats that cannot say how many points a box has label a vehicle of these rows."""
-    return any(row["labelled"] == "1" and int(row["points"]) > 0 for row in boxes)
+def _has_label(boxes: Mapping[str, np.ndarray]) -> bool:
+    """Whether formats that cannot say how many points a box has label any of these vehicles."""
+    return bool((boxes["labelled"] & (boxes["points"] > 0)).any())
 
 
 def _box_columns(made: Sample) -> dict[str, np.ndarray]:
@@ -327,15 +354,15 @@ def _write_nuscenes(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     write_bytes(folder / "nuscenes" / _SWEEPS / f"{file_name(made.scan.number)}.pcd.bin", points.tobytes())
 
 
-def _finish_nuscenes(folder: Path, plan: DatasetPlan, rows: Sequence[Sequence[Mapping[str, str]]]) -> None:
+def _finish_nuscenes(folder: Path, plan: DatasetPlan, of_scans: Sequence[Mapping[str, np.ndarray]]) -> None:
     """The tables: each scan is a scene with one sample, the ego vehicle the foot of the pole, turned by its yaw.
 
     The global frame is the road frame of each scan.
     """
     tables = {name: list(records) for name, records in _fixed_tables().items()}
-    of_scans = ("calibrated_sensor", "ego_pose", "scene", "sample", "sample_data", "sample_annotation", "instance")
-    tables |= {name: [] for name in of_scans}
-    for scan, boxes in zip(plan.scans, rows, strict=True):
+    names = ("calibrated_sensor", "ego_pose", "scene", "sample", "sample_data", "sample_annotation", "instance")
+    tables |= {name: [] for name in names}
+    for scan, boxes in zip(plan.scans, of_scans, strict=True):
         token, pose = f"scan-{file_name(scan.number)}", scan.mount.pose
         microseconds = round(plan.frames[scan.frame].time_s * 1e6)
         ahead = pose.yaw + 0.5 * math.pi
@@ -367,12 +394,12 @@ def _finish_nuscenes(folder: Path, plan: DatasetPlan, rows: Sequence[Sequence[Ma
     write_bytes(folder / _MAP, _white_png())
 
 
-def _annotations(token: str, boxes: Sequence[Mapping[str, str]]) -> Iterator[tuple[dict, dict]]:
+def _annotations(token: str, boxes: Mapping[str, np.ndarray]) -> Iterator[tuple[dict, dict]]:
     """The annotation and the instance of each labelled vehicle of a scan."""
-    for row in boxes:
-        if row["labelled"] != "1":
-            continue
-        mine, visible = f"{token}-vehicle-{row['vehicle_id']}", float(row["visibility"])
+    columns = (values[boxes["labelled"]].tolist() for values in boxes.values())
+    for values in zip(*columns, strict=True):
+        row = dict(zip(boxes, values, strict=True))
+        mine, visible = f"{token}-vehicle-{row['vehicle_id']}", row["visibility"]
         level = max(number for number, (low, _) in _VISIBLE.items() if visible >= low)
         yield (
             {
@@ -381,12 +408,12 @@ def _annotations(token: str, boxes: Sequence[Mapping[str, str]]) -> Iterator[tup
                 "instance_token": mine,
                 "visibility_token": level,
                 "attribute_tokens": [],
-                "translation": [float(row[key]) for key in ("x_m", "y_m", "z_m")],
-                "size": [float(row[key]) for key in ("width_m", "length_m", "height_m")],
-                "rotation": _about_z(math.radians(float(row["heading_deg"]))),
+                "translation": [row[key] for key in ("x_m", "y_m", "z_m")],
+                "size": [row[key] for key in ("width_m", "length_m", "height_m")],
+                "rotation": _about_z(math.radians(row["heading_deg"])),
                 "prev": "",
                 "next": "",
-                "num_lidar_pts": int(row["points"]),
+                "num_lidar_pts": row["points"],
                 "num_radar_pts": 0,
             },
             {

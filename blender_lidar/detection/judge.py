@@ -58,6 +58,11 @@ def is_ours(detector: str) -> bool:
     return detector in DETECTORS or is_weights(detector)
 
 
+def weights_of(detector: str) -> str | Path:
+    """The file of weights of PointPillars that a name stands for: those that ship, or its own."""
+    return SHIPPED if detector == PillarsDetector.name else detector
+
+
 def detector_at(site: Site, mounting: Mounting, name: str) -> Detector:
     """A detector of ours for a mounting of a site: by a name of `DETECTORS`, or PointPillars with weights of one's own.
 
@@ -71,8 +76,7 @@ def detector_at(site: Site, mounting: Mounting, name: str) -> Detector:
     seen = site.observation
     if name == ClassicalDetector.name:
         return ClassicalDetector(seen.lattice, mounting.xy, seen.lidar.imperfections)
-    weights = SHIPPED if name == PillarsDetector.name else name
-    found = PillarsDetector(seen.lattice.model.name, mounting.pose, *watched(site), weights)
+    found = PillarsDetector(seen.lattice.model.name, mounting.pose, *watched(site), weights_of(name))
     heading = np.concatenate([frame.vehicles.heading_rad[frame.counted] for frame in site.search])
     found.check_headings(heading)
     return found

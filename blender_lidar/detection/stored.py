@@ -26,12 +26,11 @@ from ..sensors.model import load_model, model_names
 from ..sensors.pose import Pose
 from ..toml_table import Setting, TomlTable
 from ..traffic.boxes import DetectedBoxes
-from ..traffic.source import Column, TableLayout, fields_of, first_lines, read_rows
-from ..traffic.table import BOX_COLUMNS
+from ..traffic.source import Column
 from ..traffic.vehicles import CLASSES, Vehicles
 from .classical import ClassicalDetector
 from .dataset import VAL
-from .dataset_files import BOXES, DATASET, SCANS, UNFINISHED, file_name, read_json
+from .dataset_files import DATASET, SCANS, UNFINISHED, WHOLE, file_name, read_boxes, read_columns, read_json
 from .judge import (
     Detector,
     JudgedDetector,
@@ -43,9 +42,10 @@ from .judge import (
     of_each,
     range_image,
     region_of_alarms,
+    weights_of,
     within,
 )
-from .pillars import SHIPPED, PillarsDetector
+from .pillars import PillarsDetector
 from .scores import CRITERIA, intervals
 
 Progress = Callable[[int], Callable[[int], object]]  # given how many clouds there are, what is called for those done
@@ -68,11 +68,6 @@ def _declared(values: Mapping[str, object], declared: Mapping[str, Setting], whe
 
 
 _FARTHEST = 1e9
-
-
-def _pillars(name: str, sensor: str, pose: Pose, low: np.ndarray, high: np.ndarray) -> PillarsDetector:
-    """PointPillars, shipped or by a file of weights, at a pose in the road frame, between two corners [m]."""
-    return PillarsDetector(sensor, pose, low, high, SHIPPED if name == PillarsDetector.name else name)
 
 
 # --- Clouds of one mounting -------------------------------------------------------------------------------------------
@@ -172,7 +167,8 @@ def detect_in_clouds(
         detector.learn(of_each(partial(range_image, detector, clouds), paths, workers, advance))
     else:
         reach = clouds.sensor.range_gate_m
-        detector = _pillars(name, clouds.lattice.model.name, clouds.pose, at - reach, at + reach)
+        sensor = clouds.lattice.model.name
+        detector = PillarsDetector(sensor, clouds.pose, at - reach, at + reach, weights_of(name))
     frames, boxes, seen = zip(*of_each(partial(_look, detector, clouds), paths, workers, advance), strict=True)
     if len(set(frames)) < len(frames):
         twice = next(frame for row, frame in enumerate(frames) if frame in frames[:row])
@@ -182,8 +178,6 @@ def detect_in_clouds(
 
 # --- Data sets --------------------------------------------------------------------------------------------------------
 
-_WHOLE = Column("a whole number of at least 0", low=0, whole=True)
-_FLAG = Column("0 or 1", 0, 1, whole=True)
 _ABOUT = {
     **dict.fromkeys(("scene", "sensor", "caster"), Setting(kind=str)),
     "region": Setting(kind=RegionSettings),
@@ -194,13 +188,9 @@ _ABOUT = {
     "warnings": Setting(kind=list),
 }
 _OF_SCANS = {
-    **dict.fromkeys(("scan", "recording", "block", "mounting"), _WHOLE),
+    **dict.fromkeys(("scan", "recording", "block", "mounting"), WHOLE),
     "frame": Column("a whole number", whole=True),
     **dict.fromkeys(MOUNTED, Column("a number", -_FARTHEST, _FARTHEST)),
-}
-_OF_BOXES = {
-    **{name: column for name, column in BOX_COLUMNS.items() if name not in ("time_s", "lane")},
-    **{"vehicle_id": _WHOLE, "points": _WHOLE, "counted": _FLAG},
 }
 
 
@@ -240,19 +230,18 @@ class StoredDataset:
 
     def boxes(self, number: int) -> tuple[CountedFrame, np.ndarray]:
         """The vehicles of a scan, and the returns from each, (v,)."""
-        path = self.folder / BOXES / f"{file_name(number)}.csv"
-        table = _read_columns(path, _OF_BOXES, "class")
+        table = read_boxes(self.folder, number)
         vehicles = Vehicles(
             frame=int(self.scans["frame"][number]),
             time_s=0.0,
-            vehicle_id=table["vehicle_id"].astype(np.int64),
+            vehicle_id=table["vehicle_id"],
             class_index=np.array([CLASSES.index(name) for name in table["class"].tolist()], dtype=np.int8),
             centre_m=np.column_stack([table[name] for name in ("x_m", "y_m", "z_m")]),
             size_m=np.column_stack([table[name] for name in ("length_m", "width_m", "height_m")]),
             heading_rad=np.radians(table["heading_deg"]),
             lane=np.zeros(len(table["class"]), dtype=np.int16),
         )
-        return CountedFrame(vehicles, table["counted"] > 0.0), table["points"]
+        return CountedFrame(vehicles, table["counted"]), table["points"]
 
 
 def is_dataset(folder: Path) -> bool:
@@ -275,7 +264,7 @@ def read_dataset(folder: Path) -> StoredDataset:
     found = _declared(about, _ABOUT, str(path))
     road = road_map(found["road"])
     region = region_of_alarms(region_of(found["region"], road))
-    scans = _read_columns(folder / SCANS, _OF_SCANS, "split")
+    scans = read_columns(folder / SCANS, _OF_SCANS, "split")
     count = len(scans["scan"])
     tables = ({key: scans[key].tolist()[row] for key in MOUNTED} for row in range(count))
     poses = [mounting_from(coordinates_of(table, str(folder), MOUNTED), road).pose for table in tables]
@@ -284,19 +273,6 @@ def read_dataset(folder: Path) -> StoredDataset:
     return StoredDataset(
         folder, about, region, watched, scans, poses, validating if len(validating) else np.arange(count)
     )
-
-
-def _read_columns(path: Path, columns: Mapping[str, Column], text: str) -> dict[str, np.ndarray]:
-    """Columns of a table of a data set: numbers, and one of texts."""
-    line, header = first_lines(path)[0]
-    layout = TableLayout(fields_of(header), ",", line + 1)
-    layout.check([*columns, text], (), f"{path}:{line}")
-    parts = list(read_rows(path, layout, columns, [text]))
-    found = {
-        name: np.concatenate([np.zeros(0), *(rows.numbers(name, column) for rows in parts)])
-        for name, column in columns.items()
-    }
-    return {**found, text: np.array([word for rows in parts for word in rows.columns[text].tolist()], dtype=str)}
 
 
 def judge_on_dataset(stored: StoredDataset, name: str, workers: int, progress: Progress) -> JudgedDetector:
@@ -345,9 +321,9 @@ def _detected(
 ) -> tuple[list[DetectedBoxes], list[str]]:
     """What PointPillars finds in the judging scans, each from its mounting, and its notes."""
     numbers, mounting = stored.judging.tolist(), stored.scans["mounting"].astype(int).tolist()
+    sensor, weights = stored.about["sensor"], weights_of(name)
     detectors = {
-        mounting[number]: _pillars(name, stored.about["sensor"], stored.poses[number], *stored.watched)
-        for number in numbers
+        mounting[number]: PillarsDetector(sensor, stored.poses[number], *stored.watched, weights) for number in numbers
     }
     found = of_each(partial(_look_at_scan, stored, detectors), numbers, workers, advance)
     seen = {
