@@ -15,7 +15,7 @@ from blender_lidar.sensors.model import load_model
 from blender_lidar.studies.candidates import Candidates
 from blender_lidar.studies.chart import ablation_row
 from blender_lidar.studies.driver import Job, Landscape, landscapes
-from blender_lidar.studies.effects import NEEDED, NOT_NEEDED, UNDECIDED, Reference, effects, regret, verdict
+from blender_lidar.studies.effects import NEEDED, NOT_NEEDED, UNDECIDED, Reference, compared, regret, verdict
 from blender_lidar.studies.variations import Ablation, ablations, without_offsets
 from tests.small_scene import MAPPED, mounting, traffic_rows, write_scene, write_table
 
@@ -45,6 +45,12 @@ def reference_of(one: Draw) -> Reference:
     return Reference(having, np.arange(having.objective.shape[1]), judged, np.arange(judged.objective.shape[1]), 1)
 
 
+def effects(draws: list[Draw], reference: Reference) -> dict:
+    found = compared(draws, reference)
+    lost = found["lost"]
+    return found | {"regret": lost and lost.share, "regret_interval_90": lost and lost.interval_90}
+
+
 def found_in(*draws: Draw) -> dict:
     return effects(draws, reference_of(draws[0]))
 
@@ -55,7 +61,7 @@ def found_in(*draws: Draw) -> dict:
 def test_a_shift_of_all_scores_is_a_bias_alone_and_no_shift_is_none():
     for shift in (0.0, 0.25):
         found = found_in(draw(1, shift=shift))
-        assert (found["bias"], found["tau"]) == (pytest.approx(shift), pytest.approx(1.0))
+        assert (found["bias"], found["tau"]) == (pytest.approx(-shift), pytest.approx(1.0))
         assert (found["regret"], found["regret_interval_90"]) == (0.0, (0.0, 0.0))
 
 

@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 
 from blender_lidar.statistics import student_t
 from blender_lidar.studies.candidates import sobol
-from blender_lidar.studies.chart import mark_within, recommended, sentence
+from blender_lidar.studies.chart import accuracy, mark_within, recommended, sentence
 from blender_lidar.studies.driver import Landscape
 from blender_lidar.studies.effects import (
     BOUND_LEVEL,
     Noise,
     Reference,
-    accuracy,
     calibrated_residuals,
     chosen_by,
     chosen_shares,
+    compared,
     halvings,
     noise_ceiling,
     pareto_front,
@@ -52,6 +52,11 @@ def reference_of(seed: int, noise: float = 0.1) -> Reference:
     searched, block = traffic(seed, noise=noise)
     judged, judged_block = traffic(seed + 1, noise=noise)
     return Reference(searched, block, judged, judged_block, 1)
+
+
+def accuracy_of(reference: Reference, phases: list[Landscape]) -> dict:
+    found = compared([(one, reference.searched, reference.judged) for one in phases], reference)
+    return accuracy(found, reference.gain)
 
 
 # --- ranking ----------------------------------------------------------------------------------------------------------
@@ -97,7 +102,7 @@ def test_each_half_is_judged_by_a_line_that_the_other_half_gave():
 def test_orders_that_agree_regret_nothing(seed):
     reference = reference_of(seed)
     searched = reference.searched
-    found = accuracy(reference, [Landscape(3.0 * searched.objective + 0.2 * searched.vehicles, searched.vehicles)])
+    found = accuracy_of(reference, [Landscape(3.0 * searched.objective + 0.2 * searched.vehicles, searched.vehicles)])
     assert (found["regret"], found["regret_interval_90"]) == (0.0, (0.0, 0.0))
     assert found["tau"] == pytest.approx(1.0)
     assert found["error"] == pytest.approx(0.0, abs=1e-9)
@@ -166,7 +171,7 @@ def test_phases_are_averaged():
     rng = np.random.default_rng(1)
     objective, vehicles = reference.searched.objective, reference.searched.vehicles
     phases = [Landscape(objective + rng.normal(scale=3.0, size=objective.shape), vehicles) for _ in "ab"]
-    alone, both = [accuracy(reference, [phase]) for phase in phases], accuracy(reference, phases)
+    alone, both = [accuracy_of(reference, [phase]) for phase in phases], accuracy_of(reference, phases)
     for key in ("bias", "tau", "regret"):
         assert both[key] == pytest.approx(np.mean([one[key] for one in alone]))
     assert both["error"] == pytest.approx(np.sqrt(np.mean([one["error"] ** 2 for one in alone])))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -180,6 +182,17 @@ def test_the_optimum_of_resampled_blocks_lies_where_the_tops_lie():
     assert low < TOP < high
     assert high - low < 3.0
     assert finding.verdict == FAILS  # the mounting in question is worth 0 there, as the baseline is
+
+
+def test_a_scene_of_leans_is_spoken_of_in_leans():
+    tilts = grid(TILTS)
+    leans = replace(tilts, variables=("height_m", "lean_deg"))
+    texts = [optimum_finding(landscape(hills(30, 2)), one, np.arange(30), 1).text for one in (tilts, leans)]
+    assert texts[1] == texts[0].replace("tilt", "lean") != texts[0]
+    one = answer(1.0, 10.0)
+    one["mounting"]["lean_deg"] = 12.0
+    found = search_finding([one], 0.9, 0.0, leans=True)
+    assert (found.text[-13:], found.numbers["lean_deg"]) == ("lean 12.0 deg", [12.0])
 
 
 def test_two_blocks_are_too_few_for_an_interval_of_the_optimum():

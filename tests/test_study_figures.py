@@ -1,4 +1,4 @@
-"""The pictures of chart and stability: every point, row, mark and limit is where the numbers say, and named once."""
+"""The pictures of chart and stability: points, rows, marks and limits are where numbers say, the front is named."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.report import chart, stability
+from blender_lidar.studies.effects import pareto_front
 from tests.test_plots import figures_kept
 
 pytest.importorskip("matplotlib")
@@ -48,14 +49,18 @@ def draw(path, given, **changes):
     chart.draw_chart(path, settings | {"rungs": given, "gain_per_vehicle": 1.0} | changes)
 
 
-def test_fifty_points_are_named_and_no_name_lies_on_another_or_outside(drawn, tmp_path):
+def test_the_front_and_the_recommended_are_named_and_no_name_lies_on_another_or_outside(drawn, tmp_path):
     given = rungs(50)
-    draw(tmp_path / "chart.png", given)
+    places = np.array([(row["milliseconds"]["median"], row["error"]) for row in given])
+    front = pareto_front(*places.T)
+    given = [{**row, "pareto": number in front} for number, row in enumerate(given)]
+    close = [rung(f"box 1/{at}", (at, at, at), 0.001 - 1e-5 * at, "box", pareto=True) for at in (5, 6, 7)]
+    draw(tmp_path / "chart.png", given + close)
     (axes,) = drawn[0].axes
-    names = {row["name"].replace("detailed", "det.") for row in given}
-    texts = [text for text in axes.texts if text.get_text() in names]
-    assert {text.get_text() for text in texts} == names
-    boxes = [text.get_window_extent() for text in texts]
+    assert [text.get_text() for text in axes.texts if text.get_weight() == "bold"] == [given[1]["name"]]
+    named = {row["name"] for row in given + close if row["pareto"]} | {given[1]["name"]}
+    assert {text.get_text() for text in axes.texts} == named
+    boxes = [text.get_window_extent() for text in axes.texts]
     for one, other in combinations(boxes, 2):
         width = min(one.x1, other.x1) - max(one.x0, other.x0)
         height = min(one.y1, other.y1) - max(one.y0, other.y0)
@@ -140,6 +145,16 @@ def test_every_change_has_a_row_with_its_loss_its_interval_and_its_optima(drawn,
     markers = [lines_at(lost, row)[1].get_marker() for row in range(3)]
     assert len(set(markers)) == 3  # verdicts differ without colour
     assert (tmp_path / "changes.png").stat().st_size > 1000
+
+
+def test_where_a_scene_is_given_by_leans_the_mounting_stands_at_its_lean(drawn, tmp_path):
+    mounting = {**RESULT["mounting"], "lean_deg": 21.5}
+    assert stability.draw_changes(
+        tmp_path / "leans.png", {**RESULT, "mounting": mounting, "leans": True, "findings": CHANGES}
+    )
+    _, moved = drawn[0].axes
+    assert moved.get_xlabel() == "Best lean under the change [deg]"
+    assert any(np.all(np.asarray(line.get_xdata()) == 21.5) for line in moved.lines)
 
 
 def test_without_an_interval_and_without_changes(tmp_path):

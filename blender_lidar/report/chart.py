@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..metrics.catalogue import metric_named
+from ..scene.mounting import COORDINATE_NAMES
 from ..studies.chart import milliseconds
 from ..studies.driver import percent
-from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, legend_below, name_points, sheet
+from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, SMALL_PT, legend_below, sheet
 from .study import Section, StudyReport
-from .summary import COORDINATE_NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# --- the picture: error over time, every fidelity named, with the Pareto front ----------------------------------------
+# --- the picture: error over time of every fidelity; those on the Pareto front and the recommended one are named ------
 
 # By level of detail, which differ in lightness where print is grey, and in the marker without colour.
 _LOOKS = {
@@ -30,9 +29,9 @@ _LOOKS = {
 }
 _HEIGHT_MM = 175.0
 _MARGIN = 0.05  # of the errors' range, above and below it
-_MARKER_PT, _RING_PT = 2.6, 6.0  # half the side of what a marker covers
+_MARKER_PT, _RING_PT = 4.0, 7.5  # from the middle of a point to its name
 _QUARTILES = ("first_quartile", "median", "third_quartile")
-_ABBREVIATED = "1/4: every 4th column; 8f: 8 frames; det.: detailed"
+_ABBREVIATED = "1/4: every 4th column; 8f: 8 frames"
 
 
 def draw_chart(path: str | Path, result: Mapping) -> bool:
@@ -60,21 +59,15 @@ def draw_chart(path: str | Path, result: Mapping) -> bool:
         look = {"color": BASELINE_LOOK["color"], "linestyle": "none", "label": "recommended"}
         handles += axes.plot(*places[best].T, **ring, **look) if any(best) else []
         most = max(places[:, 1].max(), noise["error_90"][1] if noise else 0.0, tolerance or 0.0) or 1.0
-        spread = places[:, 0].min() / 1.6, places[:, 0].max() * 1.6
+        spread = places[:, 0].min() / 2.5, places[:, 0].max() * 1.6
         axes.set(xlim=spread, ylim=(-_MARGIN * most, (1.0 + _MARGIN) * most))
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.minorticks_off()
         axes.grid(visible=True)
-        figure.canvas.draw()  # places are now known in pixels
-        weights = ["bold" if chosen or row["pareto"] else "normal" for row, chosen in zip(rows, best, strict=True)]
-        bars = [((first, y), (last, y)) for (first, _, last), y in zip(times, places[:, 1], strict=True)]
-        for (x, y), (next_x, next_y) in pairwise(front):
-            bars += [((x, y), (next_x, y)), ((next_x, y), (next_x, next_y))]
-        sizes = [_RING_PT if chosen else _MARKER_PT for chosen in best]
-        names = [row["name"].replace("detailed", "det.") for row in rows]  # short enough to stand beside a point
-        name_points(axes, places, names, weights, sizes, bars)
         legend_below(figure, handles, columns=4)
+        figure.canvas.draw()  # places are now known in pixels
+        _name_points(axes, rows, places, best)
     return True
 
 
@@ -102,6 +95,21 @@ def _points(axes: Axes, rows: Sequence[Mapping], times: np.ndarray, places: np.n
             axes.hlines(places[some, 1], times[some, 0], times[some, 2], colors=look["color"], linewidth=0.7, zorder=2)
             handles += axes.plot(*places[some].T, label=detail, **style, **look)
     return handles
+
+
+def _name_points(axes: Axes, rows: Sequence[Mapping], places: np.ndarray, best: Sequence[bool]) -> None:
+    """Name the front's points to their lower left, where no other can be, and the recommended one if not among them."""
+    look, before = {"textcoords": "offset points", "fontsize": SMALL_PT, "color": INK}, None
+    for row, place, chosen in sorted(zip(rows, places.tolist(), best, strict=True), key=lambda one: one[1]):
+        if row["pareto"]:
+            left = _RING_PT if chosen else _MARKER_PT
+            name = axes.annotate(row["name"], place, (-left, -2.0), ha="right", va="top", **look)
+            box = name.get_window_extent()
+            if before is not None and box.x0 < before.x1 and box.y1 > before.y0:  # lower, clear of the name before
+                name.xyann = -left, -2.0 - (box.y1 - before.y0) * 72.0 / axes.figure.dpi
+            before = name.get_window_extent()
+        elif chosen:
+            axes.annotate(row["name"], place, (_RING_PT, _MARKER_PT), weight="bold", **look)
 
 
 # --- the report: the fidelities, what the scene needs, and whether the recommendation holds ---------------------------

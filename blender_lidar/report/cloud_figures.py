@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..clouds.scan import PointCloud
-from ..clouds.snapshot import MountedSensor
-from ..detection.judge import JudgedDetector, clouds_at, judging_frames, region_of_alarms
+from ..detection.judge import JudgedDetector, clouds_at, judging_frames, region_of_alarms, sensor_at
 from ..detection.scores import CONFIDENCES, CRITERIA, meetings
 from ..metrics.vgop import VIEW_NAMES, entropy, occupancy_views
 from ..run.folder import RunFolder
@@ -81,13 +80,12 @@ class Sight:
 def draw_clouds(path: str | Path, site: Site, run: RunFolder) -> None:
     """Draw the searched frame with the most vehicles in view, as both mountings of a run see it."""
     frame = max(site.search, key=lambda candidate: int(candidate.counted.sum()))
-    vehicles, observation = frame.vehicles.select(frame.counted), site.observation
-    sights = []
+    vehicles, sights = frame.vehicles.select(frame.counted), []
     for table, (name, mount) in zip((run.baseline, run.optimised), sides(run.result), strict=True):
         mounting = site.scenario.mounting(mount)
-        sensor = MountedSensor(site.scenario, mounting, observation.lattice, observation.caster, observation.scenery)
+        cloud = sensor_at(site, mounting).scan(frame.vehicles)
         of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")
-        sights.append(Sight(name, mounting, sensor.scan(frame.vehicles), table["detectable"][of_frame]))
+        sights.append(Sight(name, mounting, cloud, table["detectable"][of_frame]))
     title = f"{run.result['sensor']}: one revolution from above, frame {vehicles.frame}"
     plot_clouds(path, vehicles, sights, title, leaning=leans(run.result))
 
@@ -104,14 +102,7 @@ def plot_clouds(
     """Draw one frame's cloud under the baseline and under the other mounting, to scale.
 
     The boxes of the `vehicles` and the LiDARs set what part of the road is drawn. Orientations are given as leans where
-    the run is about them, `leaning`.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    OutputError
-        If the file cannot be written.
+    the run is about them, `leaning`. Errors as `figure.sheet`.
     """
     corners = corners_of(vehicles)
     poles = [sight.mounting.xy for sight in sights]
@@ -245,22 +236,23 @@ def draw_detections(
     title = f"{site.model.name}: what the detector {Path(detector).stem} finds in frame {frame.vehicles.frame}"
     of_frames = f"{len(frames)} {'held-out' if len(site.holdout) else 'searched'} frames"
     rule = f"confidence {_SURE:g} or more, hits within {CRITERIA[0].most_m:g} m"
-    plot_detections(path, frame, sure, title, f"{frame.counted.sum()} vehicles, the median of {of_frames}; {rule}")
+    subtitle = f"{frame.counted.sum()} vehicles, the median of {of_frames}; {rule}"
+    plot_detections(path, frame, sure, title, subtitle, leaning=site.scenario.deployment.places[0].leans)
 
 
 def plot_detections(
-    path: str | Path, frame: CountedFrame, found: Sequence[Found], title: str = "", subtitle: str = ""
+    path: str | Path,
+    frame: CountedFrame,
+    found: Sequence[Found],
+    title: str = "",
+    subtitle: str = "",
+    *,
+    leaning: bool = False,
 ) -> None:
     """Draw detections over the footprints of a frame's vehicles and the points, at each of some mountings, to scale.
 
-    The vehicles and detections that count and the LiDARs set what part of the road is drawn.
-
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    OutputError
-        If the file cannot be written.
+    The vehicles and detections that count and the LiDARs set what part of the road is drawn; `leaning` and errors as
+    for `plot_clouds`.
     """
     poles = np.array([one.mounting.xy for one in found])
     counted = [
@@ -275,7 +267,7 @@ def plot_detections(
             hits, vehicles = np.count_nonzero(one.vehicle >= 0), np.count_nonzero(frame.counted)
             alarms = len(one.boxes) - int(hits) - int(np.count_nonzero(one.ignored))
             text = f"{hits} of {vehicles} vehicles found, {alarms} false alarm{'s' * (alarms != 1)}"
-            stretches[0].set_title(f"{one.name}: {mounting_text(one.mounting.as_table())}\n{text}")
+            stretches[0].set_title(f"{one.name}: {mounting_text(one.mounting.as_table(), leans=leaning)}\n{text}")
         legend_below(figure, entries, columns=4)
 
 
@@ -344,7 +336,7 @@ def draw_occupancy(path: str | Path, site: Site, run: RunFolder) -> None:
         grids,
         size_m,
         cell_m,
-        [f"{name}: {mounting_text(mount)}" for name, mount in sides(run.result)],
+        [f"{name}: {mounting_text(mount, leans=leans(run.result))}" for name, mount in sides(run.result)],
         f"Occupied cells of one {counted.class_name[index]}, vehicle {vehicle_id} in frame {number}",
         f"{run.result['sensor']}, {table['distance_m'][row]:.0f} m away; "
         "this vehicle gains more PE-VGOP than three quarters of the others",

@@ -24,9 +24,14 @@ def _name(finding: Mapping, between: str = ", ") -> str:
     return between.join(filter(None, (finding["what"], finding["value"])))
 
 
+def _tilt(result: Mapping) -> str:
+    """Key of what a mounting looks down by: its lean where the scene is given by it, else its tilt across the road."""
+    return "lean_deg" if result.get("leans") else "tilt_x_deg"
+
+
 def _about(result: Mapping) -> str:
     mount = result["mounting"]
-    return f"{result['sensor']} at {mount['height_m']:.2f} m, {mount['tilt_x_deg']:.1f} deg; {result['scene']}"
+    return f"{result['sensor']} at {mount['height_m']:.2f} m, {mount[_tilt(result)]:.1f} deg; {result['scene']}"
 
 
 # --- the picture ------------------------------------------------------------------------------------------------------
@@ -71,7 +76,7 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
             if row and one["section"] != changes[row - 1]["section"]:
                 lost.axhline(row - 0.5, color=INK, linewidth=0.6, xmin=-0.7, clip_on=False)
         limit = {"color": INK, "linewidth": 0.8, "linestyle": "--"}
-        for axes, at in ((lost, limits), (moved, [result["mounting"]["tilt_x_deg"]])):
+        for axes, at in ((lost, limits), (moved, [result["mounting"][_tilt(result)]])):
             for x in at:
                 axes.axvline(x, **limit)
             axes.grid(visible=True, axis="x")
@@ -82,7 +87,7 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
         ticks = [-10.0, -1.0, 0.0, 1.0, *limits, _MOST_PERCENT]
         lost.set_xticks(ticks, [f"{tick:g}" if tick < _MOST_PERCENT else f"{tick:g}+" for tick in ticks])
         lost.minorticks_off()
-        moved.set_xlabel("Best tilt under the change [deg]")
+        moved.set_xlabel(f"Best {_tilt(result).split('_')[0]} under the change [deg]")
         lost.set_yticks(range(len(changes)), [_name(one, ": ") for one in changes], fontsize=SMALL_PT)
         lost.tick_params(axis="y", length=0.0)
         lost.set_ylim(len(changes) - 0.4, -0.6)
@@ -122,7 +127,7 @@ def _by_section(result: Mapping) -> dict[str, list[Mapping]]:
 
 
 def _head(result: Mapping) -> list[str]:
-    metric, place = metric_named(result["metric"]), place_text(result["mounting"])
+    metric, place = metric_named(result["metric"]), place_text(result["mounting"], leans=bool(result.get("leans")))
     origin = f"found by {result['search']}, seed {result['seed']}"
     if result["answered_frames"] < result["frames"]:
         origin += f", on {result['answered_frames']} of the frames"

@@ -26,6 +26,18 @@ COORDINATES = (*PLACE, *ANGLES)
 """The coordinates of a mounting in tables: metres and degrees."""
 MOUNTED = (*COORDINATES, "facing_deg")
 """The same, and which way the mast faces: all that a mounting is made of."""
+COORDINATE_NAMES = {
+    "height_m": ("height", "m"),
+    "tilt_x_deg": ("tilt across the road", "deg"),
+    "tilt_y_deg": ("tilt along the road", "deg"),
+    "yaw_deg": ("yaw", "deg"),
+    "lean_deg": ("lean", "deg"),
+    "lean_direction_deg": ("direction of the lean", "deg"),
+    "spin_deg": ("spin", "deg"),
+    "x_m": ("x along the road", "m"),
+    "y_m": ("y across the road", "m"),
+}
+"""What each is called, and its unit."""
 _NO_LEAN_DEG = 1e-6
 _SAME_ROTATION = 1e-6
 _SQUARE = 0.5 * math.pi  # the way that a mast faces whose axes are those of the site frame

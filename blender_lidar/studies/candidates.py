@@ -38,6 +38,11 @@ class Candidates:
     points: np.ndarray
     layouts: tuple[Layout, ...]
 
+    @property
+    def leans(self) -> bool:
+        """Whether a grid of heights has leans beside them, and not tilts across the mast's frame."""
+        return "lean_deg" in self.variables
+
     def select(self, numbers: Sequence[int]) -> Candidates:
         """The baseline and some of the candidates, by their rows in `points`."""
         layouts = (self.layouts[BASELINE], *(self.layouts[FIRST + number] for number in numbers))

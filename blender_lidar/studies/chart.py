@@ -20,7 +20,7 @@ from ..scoring.scores import VehicleScores
 from ..world.shapes import DETAILS
 from .candidates import BASELINE, FIRST, Candidates, sobol_candidates
 from .driver import HELD_OUT, Job, Landscape, StudyFolder, judging_split, split_of, study_head
-from .effects import BOUND_LEVEL, SURE, Noise, Reference, accuracy, effects, pareto_front, verdict
+from .effects import BOUND_LEVEL, SURE, Noise, Reference, compared, pareto_front, verdict
 from .variations import Ablation, ablations, of_fidelity, whole
 
 CHART_SCHEMA = 4  # of the stages and of the result
@@ -249,10 +249,27 @@ def rung_rows(
         row["milliseconds"] = {"first_quartile": first, "median": median, "third_quartile": third}
         row["build_milliseconds_per_frame"] = float(1e3 * np.median(timed[whole(rung)][1]))
         row["speedup"] = float(of_reference * 1e3 / median)
-        found = [scored[phase] for phase in phased(rung, phases)]
-        rows.append(row | accuracy(reference, found, looked_at(rung, frames)))
+        found = [(scored[phase], reference.searched, reference.judged) for phase in phased(rung, phases)]
+        rows.append(row | accuracy(compared(found, reference, looked_at(rung, frames)), reference.gain))
     front = pareto_front(*np.array([(row["milliseconds"]["median"], row["error"]) for row in rows]).T)
     return [{**row, "pareto": number in front} for number, row in enumerate(rows)]
+
+
+def accuracy(found: Mapping, gain: float) -> dict[str, object]:
+    """How near a fidelity comes to the reference, of what it is `compared` by, as JSON holds it.
+
+    Its ``error_share`` of the gain, and an upper ``regret_bound`` at `BOUND_LEVEL`; None for what cannot be known.
+    """
+    lost, error = found["lost"], found["error"]
+    return {
+        "bias": found["bias"],
+        "error": error,
+        "error_share": error / gain if gain > 0.0 else None,
+        "tau": found["tau"],
+        "regret": lost and lost.share,
+        "regret_interval_90": lost and lost.interval_90,
+        "regret_bound": lost and lost.bound(BOUND_LEVEL),
+    }
 
 
 def _seconds(fidelity: Fidelity, timed: Times) -> np.ndarray:
@@ -370,15 +387,20 @@ def ablation_row(
     reference: Reference,
     tolerance: float,
 ) -> dict:
-    """One ablation as JSON holds it: all but its name is None where there is nothing to compare."""
+    """One ablation as JSON holds it: all but its name is None where there is nothing to compare.
+
+    ``bias``: what the thing adds to the mean score per vehicle. ``regret``: what is lost where it is left out.
+    """
     row = {"what": change.what, "value": change.value, "note": refused or change.note, "draws": len(change.pairs)}
     if not draws:
         return row | dict.fromkeys(("bias", "tau", "regret", "regret_interval_90", "shift", "beyond_noise", "verdict"))
-    found, floor = effects(draws, reference), reference.noise
-    without, having = found.pop("chosen") @ every.points
-    shift = dict(zip(every.variables, (having - without).tolist(), strict=True))
-    row |= {**found, "shift": shift, "beyond_noise": None}
+    found, floor = compared(draws, reference), reference.noise
+    without, having = found["chosen"] @ every.points
+    lost, shift = found["lost"], dict(zip(every.variables, (having - without).tolist(), strict=True))
+    interval = lost and lost.interval_90
+    row |= {"bias": -found["bias"], "tau": found["tau"], "regret": lost and lost.share, "regret_interval_90": interval}
+    row |= {"shift": shift, "beyond_noise": None}
     if floor is not None:
         low = found["tau"] is not None and found["tau"] < floor.tau
         row["beyond_noise"] = {"score": abs(found["bias"]) > floor.bias, "ranking": low}
-    return row | {"verdict": verdict(found["regret_interval_90"], tolerance)}
+    return row | {"verdict": verdict(interval, tolerance)}

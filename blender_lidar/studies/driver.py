@@ -21,13 +21,12 @@ from ..files import check_folder, check_unused, folder_lock, make_folder, read_t
 from ..metrics.catalogue import metric_named
 from ..metrics.vgop import occupancy
 from ..scene.mounting import Layout, poses_of
-from ..scene.observation import CountedFrame
+from ..scene.observation import CountedFrame, Observation
 from ..scene.provenance import check_identity, versions
 from ..scene.site import Site
 from ..scoring.evaluation import workplace_of
 from ..scoring.frame_scorer import FrameScorer, Seen
 from ..scoring.scores import VehicleScores
-from ..sensors.pose import Pose
 from ..statistics import block_sums
 
 # --- what all results say ---------------------------------------------------------------------------------------------
@@ -278,9 +277,9 @@ class Landscape:
         if self.detectable is None:
             object.__setattr__(self, "detectable", np.full(self.objective.shape, np.nan))
 
-    def per_vehicle(self) -> np.ndarray:
-        """Objective per counted vehicle of each mounting, a weighted mean, (m,)."""
-        return self.objective.sum(axis=1) / self.weight.sum()
+    def per_vehicle(self, frames: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Objective per counted vehicle of each mounting, a weighted mean, (m,); on the rows `frames` alone."""
+        return self.objective[:, frames].sum(axis=1) / (self.weight[frames].sum() or 1)
 
     def detectable_share(self) -> np.ndarray:
         """Share of the vehicles that are detectable from each mounting, (m,); every vehicle counts the same."""
@@ -306,7 +305,7 @@ def landscapes(
 ) -> Iterator[Landscape | str]:
     """What the mountings of each job come to, in the order of the jobs; a text where the site cannot be changed so.
 
-    Jobs that follow each other and need no cast of their own share one, and are known together.
+    Jobs of the same mountings that follow each other and need no cast of their own share one, and are known together.
 
     Parameters
     ----------
@@ -315,7 +314,9 @@ def landscapes(
     progress : callable
         Called with the number of frames of jobs that have been scored since the last call.
     """
-    alike = groupby(enumerate(jobs), lambda one: (one[1].split, one[0] if one[1].variation.recast else -1))
+    alike = groupby(
+        enumerate(jobs), lambda one: (one[1].split, one[1].layouts, one[0] if one[1].variation.recast else -1)
+    )
     casts = [tuple(job for _, job in some) for _, some in alike]
     frames = [len(split_of(site, cast[0].split)[0]) for cast in casts]
     tasks = [(number, frame) for number, count in enumerate(frames) for frame in range(count)]
@@ -358,34 +359,23 @@ class _FrameOfCast:
         jobs = self._casts[number]
         if number != self._number:
             self._number, self._changed = number, [self._change(job) for job in jobs]
-        shared = len(jobs) > 1
-        if not shared and isinstance(self._changed[0], str):
+        known = [one for one in self._changed if not isinstance(one, str)]
+        if not known:
             return self._changed
-        site = self._site if shared else self._changed[0][0]
+        shared, layouts = len(jobs) > 1, jobs[0].layouts
+        site = self._site if shared else known[0][0]
         chosen = split_of(site, jobs[0].split)[0][frame]
-        scorer = FrameScorer(chosen.vehicles, chosen.counted, site.observation)
-        found = [dict[Layout, tuple[float, int]]() for _ in jobs]
-        every = list(dict.fromkeys(layout for job in jobs for layout in job.layouts))
-        wanted = [set(job.layouts) for job in jobs]
-        at_a_time = 1 if shared else _MOUNTINGS_AT_A_TIME
-        for first in range(0, len(every), at_a_time):
-            layouts = every[first : first + at_a_time]
-            poses = list(map(poses_of, layouts))
-            cast = _Cast(site, scorer, poses) if shared else None
-            for own, changed, of in zip(wanted, self._changed, found, strict=True):
-                if layouts[0] in own and not isinstance(changed, str):
-                    scores = changed[1]
-                    if cast is None:
-                        scored = scores.of(chosen, scorer, poses)
-                    else:
-                        scored = scores.of_seen(chosen, scorer, cast.on_cells_of(changed[0]), poses)
-                    sums = (column.sum(axis=1).tolist() for column in (scored.objective, scored.detectable))
-                    of.update(zip(layouts, zip(*sums, strict=True), strict=True))
+        scorer, parts = FrameScorer(chosen.vehicles, chosen.counted, site.observation), []
+        for first in range(0, len(layouts), _MOUNTINGS_AT_A_TIME):
+            poses = list(map(poses_of, layouts[first : first + _MOUNTINGS_AT_A_TIME]))
+            cast = scorer.see(poses, keep_returns=shared or known[0][1].needs_returns)
+            for own, scores in known:
+                seen = _on_cells_of(own.observation, cast, site.observation, scorer.vehicles.size_m)
+                scored = scores.of_seen(chosen, scorer, seen, poses)
+                parts.append([scored.objective.sum(axis=1), scored.detectable.sum(axis=1)])
+        sums = iter(np.concatenate(parts[row :: len(known)], axis=1) for row in range(len(known)))
         size = len(scorer), chosen.counted_weight.sum().item()
-        return [
-            changed if isinstance(changed, str) else (*np.array([of[layout] for layout in job.layouts]).T, *size)
-            for job, changed, of in zip(jobs, self._changed, found, strict=True)
-        ]
+        return [one if isinstance(one, str) else (*next(sums), *size) for one in self._changed]
 
     def _change(self, job: Job) -> tuple[Site, VehicleScores] | str:
         try:
@@ -395,18 +385,10 @@ class _FrameOfCast:
         return site, VehicleScores(site.scoring, site.observation, split_of(site, job.split)[0])
 
 
-class _Cast:
-    """What has been seen from some mountings, with the returns; occupancies on cells of any size are made of these."""
-
-    def __init__(self, site: Site, scorer: FrameScorer, layouts: Sequence[Sequence[Pose]]) -> None:
-        self._sizes = np.tile(scorer.vehicles.size_m, (len(layouts), 1))
-        self._first = scorer.see(layouts, keep_returns=True)
-        self._seen = {(site.observation.cell_m, site.observation.reading): self._first}
-
-    def on_cells_of(self, site: Site) -> Seen:
-        """The same, its occupancies those on the cells of that site."""
-        cells = site.observation.cell_m, site.observation.reading
-        if cells not in self._seen:
-            shares = occupancy(*self._first.returns, self._sizes, *cells).reshape(self._first.occupancy.shape)
-            self._seen[cells] = self._first._replace(occupancy=shares)
-        return self._seen[cells]
+def _on_cells_of(own: Observation, seen: Seen, cast: Observation, size_m: np.ndarray) -> Seen:
+    """What has been seen by an observation, `cast`, with its returns; its occupancies on the cells of another."""
+    cells = own.cell_m, own.reading
+    if cells == (cast.cell_m, cast.reading):
+        return seen
+    shares = occupancy(*seen.returns, np.tile(size_m, (len(seen.points), 1)), *cells)
+    return seen._replace(occupancy=shares.reshape(seen.occupancy.shape))

@@ -158,7 +158,7 @@ def regret(
     return share_lost(lost, gain, sum(vehicles) > 0)
 
 
-# --- the reference, the noise ceiling, and how near a fidelity comes to the reference ---------------------------------
+# --- the reference, and its noise ceiling -----------------------------------------------------------------------------
 
 
 SPLITS = 200
@@ -209,11 +209,6 @@ class Reference:
         return searched_weights(self.searched_block, self.seed)
 
     @cached_property
-    def chosen(self) -> np.ndarray:
-        """How often each candidate is chosen, (k,)."""
-        return chosen_shares(self.searched, self.weights)
-
-    @cached_property
     def noise(self) -> Noise | None:
         """The noise ceiling; None for fewer than four blocks with vehicles."""
         return noise_ceiling(self)
@@ -233,37 +228,6 @@ class Reference:
         """What the best candidate gains over the baseline on the frames that choose, per vehicle."""
         values = self.searched.per_vehicle()
         return float(values[FIRST:].max() - values[BASELINE])
-
-
-def accuracy(
-    reference: Reference, phases: Sequence[Landscape], frames: np.ndarray | slice = slice(None)
-) -> dict[str, object]:
-    """How near a fidelity comes whose phases score `phases` on all frames, and which looks at the rows `frames`.
-
-    Returns
-    -------
-    dict
-        As JSON holds it. ``bias``: what it scores more, in the metric's unit per vehicle, mean over the candidates and
-        phases. ``error``: root mean square of what is left after calibration, in the same unit, and ``error_share`` of
-        the gain. ``tau``: `weighted_tau`. ``regret`` with ``regret_interval_90`` and the upper ``regret_bound`` at
-        `BOUND_LEVEL`. None for what cannot be known.
-    """
-    truth, gain = reference.searched.per_vehicle()[FIRST:], reference.gain
-    values = [phase.objective[FIRST:, frames].sum(axis=1) / (phase.weight[frames].sum() or 1) for phase in phases]
-    bias, errors, tau = np.array([agreement(each, truth) for each in values]).T
-    error = float(np.sqrt(np.mean(errors**2)))
-    error = 0.0 if error <= _ROUNDING * float(np.abs(truth).max()) else error
-    chosen = np.mean([chosen_shares(phase, reference.weights, frames) for phase in phases], axis=0)
-    lost = regret([chosen], [reference.chosen], [reference.judged], reference.judged_block)
-    return {
-        "bias": float(bias.mean()),
-        "error": error,
-        "error_share": error / gain if gain > 0.0 else None,
-        "tau": None if np.isnan(tau).any() else float(tau.mean()),
-        "regret": lost and lost.share,
-        "regret_interval_90": lost and lost.interval_90,
-        "regret_bound": lost and lost.bound(BOUND_LEVEL),
-    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,37 +273,44 @@ def noise_ceiling(reference: Reference) -> Noise | None:
     return Noise(bias, middle, interval_90(error), tau, apart)
 
 
-# --- effects of a thing that is modelled: score, ranking and choice without it and with it ----------------------------
+# --- another model of the same mountings: how far it is off, and what its choices lose --------------------------------
 
 
-def effects(draws: Sequence[tuple[Landscape, Landscape, Landscape]], reference: Reference) -> dict[str, object]:
-    """What leaving a thing out of the model changes, means over its random draws.
+def compared(
+    draws: Sequence[tuple[Landscape, Landscape, Landscape]],
+    reference: Reference,
+    frames: np.ndarray | slice = slice(None),
+) -> dict[str, object]:
+    """Scores, ranking and choices of another model beside one, means over random draws or phases of the beams.
 
     Parameters
     ----------
     draws : sequence of (Landscape, Landscape, Landscape)
-        The baseline and the candidates without the thing and with it on the frames that choose, and with it on those
-        that judge.
+        The baseline and the candidates by the other model and by the one that it is compared with on the frames that
+        choose, and by the latter on those that judge.
     reference : Reference
         Whose blocks these are.
+    frames : ndarray or slice
+        Rows of the frames that the other model looks at.
 
     Returns
     -------
     dict
-        As JSON holds it. ``bias``: mean difference over the candidates, per vehicle, positive where the thing scores
-        more. ``tau``: `weighted_tau` of both. ``regret``: what is lost where mountings are chosen without the thing,
-        with ``regret_interval_90``. ``chosen``: shares (2, k) of the candidates that are chosen without it and with
-        it. None for what cannot be known.
+        ``bias``: what the other model scores more, in the metric's unit per vehicle, mean over the candidates.
+        ``error``: root mean square of what is left after calibration, in the same unit. ``tau``: `weighted_tau`.
+        ``lost``: `regret` of its choices, None where nothing is gained. ``chosen``: shares (2, k) of the candidates
+        that are chosen by it and by the one. A tau that cannot be known is None.
     """
-    pairs = [[one.per_vehicle()[FIRST:] for one in draw[:2]] for draw in draws]
-    bias, _, tau = np.mean([agreement(*pair) for pair in pairs], axis=0).tolist()
-    chosen = np.array([[chosen_shares(one, reference.weights) for one in draw[:2]] for draw in draws])
-    lost = regret(*chosen.transpose(1, 0, 2), [judged for *_, judged in draws], reference.judged_block)
+    pairs = [(one.per_vehicle(frames)[FIRST:], other.per_vehicle()[FIRST:]) for one, other, _ in draws]
+    bias, errors, tau = np.array([agreement(*pair) for pair in pairs]).T
+    error = float(np.sqrt(np.mean(errors**2)))
+    weights = reference.weights
+    chosen = np.array([[chosen_shares(one, weights, frames), chosen_shares(other, weights)] for one, other, _ in draws])
     return {
-        "bias": -bias,
-        "tau": None if np.isnan(tau) else tau,
-        "regret": lost and lost.share,
-        "regret_interval_90": lost and lost.interval_90,
+        "bias": float(bias.mean()),
+        "error": 0.0 if error <= _ROUNDING * np.abs(pairs[0][1]).max() else error,
+        "tau": None if np.isnan(tau).any() else float(tau.mean()),
+        "lost": regret(*chosen.transpose(1, 0, 2), [judged for *_, judged in draws], reference.judged_block),
         "chosen": chosen.mean(axis=0),
     }
 

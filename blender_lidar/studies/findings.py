@@ -16,6 +16,7 @@ import numpy as np
 
 from ..metrics.metric import Metric
 from ..run.tolerance import tolerance_text
+from ..scene.mounting import COORDINATE_NAMES
 from ..scene.settings import Tolerance
 from ..statistics import FEWEST_BLOCKS, interval_90, ratio_interval_90
 from .candidates import BASELINE, FIRST, Candidates
@@ -175,7 +176,8 @@ def optimum_finding(landscape: Landscape, mountings: Candidates, block: np.ndarr
     losses = losses_to_best(values)
     loss = None if np.isnan(losses).all() else float(np.nanquantile(losses, 0.95))
     left = "nothing is gained" if loss is None else f"in 95 % of them the mounting loses at most {percent(loss)}"
-    text = f"height {lowest:.2f} to {highest:.2f} m, tilt {least:.1f} to {most:.1f} deg (90 %); {left}"
+    tilt = "lean" if mountings.leans else "tilt"
+    text = f"height {lowest:.2f} to {highest:.2f} m, {tilt} {least:.1f} to {most:.1f} deg (90 %); {left}"
     numbers = {"height_interval_90_m": [lowest, highest], "tilt_interval_90_deg": [least, most], "loss_95": loss}
     return Finding(TRAFFIC, what, "", by_loss(loss), text, numbers)
 
@@ -249,13 +251,6 @@ def _range(values: Sequence[float], digits: int) -> str:
 
 # --- an installer's errors --------------------------------------------------------------------------------------------
 
-_NAMES = {
-    "height_m": ("height", "m"),
-    "tilt_x_deg": ("tilt across the road", "deg"),
-    "tilt_y_deg": ("tilt along the road", "deg"),
-    "yaw_deg": ("yaw", "deg"),
-}
-
 
 def installation_findings(found: Mapping, tolerance: Tolerance) -> list[Finding]:
     """A line for each coordinate that is off, and one for all; `found` has ``gain``, ``kept`` and ``limits``."""
@@ -263,7 +258,7 @@ def installation_findings(found: Mapping, tolerance: Tolerance) -> list[Finding]
         return [Finding(MOUNTING, "installation", "", UNDECIDED, "the mounting gains nothing over the baseline")]
     lines = []
     for key, limits in found["limits"].items():
-        (name, unit), (minus, plus) = _NAMES[key], (loss / found["gain"] for loss in limits)
+        (name, unit), (minus, plus) = COORDINATE_NAMES[key], (loss / found["gain"] for loss in limits)
         text = f"{lost(minus)} where it is less, {lost(plus)} where it is more"
         value = f"+/-{tolerance.half_widths[key]:g} {unit}"
         lines.append(Finding(MOUNTING, name, value, by_loss(max(minus, plus)), text, {"limits": [minus, plus]}))
@@ -290,7 +285,7 @@ def saturation_finding(found: Mapping) -> Finding:
     return Finding(METRIC, "views beyond P = 1/e", "", by_loss(share), text, dict(found))
 
 
-def search_finding(answers: Sequence[dict], best: float, baseline: float) -> Finding:
+def search_finding(answers: Sequence[dict], best: float, baseline: float, *, leans: bool = False) -> Finding:
     """What the answers of several seeds leave to the best known mounting, and how far apart they lie.
 
     Parameters
@@ -299,6 +294,8 @@ def search_finding(answers: Sequence[dict], best: float, baseline: float) -> Fin
         Of each seed: ``mounting``, its value ``per_vehicle``, and ``evaluations``.
     best, baseline : float
         Objective per vehicle of the best grid point and of the baseline, on the frames of the search.
+    leans : bool
+        Whether orientations are given as leans.
     """
     what, value = "regret", f"{len(answers)} seeds of {answers[0]['evaluations']:,} evaluations"
     values = np.array([answer["per_vehicle"] for answer in answers])
@@ -306,8 +303,9 @@ def search_finding(answers: Sequence[dict], best: float, baseline: float) -> Fin
     if not best > baseline:
         return Finding(SEARCH, what, value, UNDECIDED, "no mounting is better than the baseline")
     left = (best - values) / (best - baseline)
-    heights, tilts = ([answer["mounting"][key] for answer in answers] for key in ("height_m", "tilt_x_deg"))
+    key = "lean_deg" if leans else "tilt_x_deg"
+    heights, tilts = ([answer["mounting"][name] for answer in answers] for name in ("height_m", key))
     text = f"median {percent(float(np.median(left)))}, worst {percent(float(left.max()))} of the gain; "
-    text += f"height {_range(heights, 2)} m, tilt {_range(tilts, 1)} deg"
-    numbers = {"regrets": left.tolist(), "height_m": heights, "tilt_x_deg": tilts}
+    text += f"height {_range(heights, 2)} m, {key.split('_')[0]} {_range(tilts, 1)} deg"
+    numbers = {"regrets": left.tolist(), "height_m": heights, key: tilts}
     return Finding(SEARCH, what, value, by_loss(float(left.max())), text, numbers)

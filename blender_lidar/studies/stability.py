@@ -152,8 +152,9 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
     for change, draws in _draws(folder, few, varied, coarse, judging).items():
         findings.append(change_finding(change, draws, coarse, judged_block if judging == HELD_OUT else None))
     looked_at = np.isin(site.plan.search, whole.plan.search)
-    searched = Landscape(as_it_is[0].objective[:, looked_at], as_it_is[0].weight[looked_at]).per_vehicle()
-    findings.append(search_finding(answers, float(searched[GRID:].max()), float(searched[BASELINE])))
+    searched = as_it_is[0].per_vehicle(looked_at)
+    best, baseline = float(searched[GRID:].max()), float(searched[BASELINE])
+    findings.append(search_finding(answers, best, baseline, leans=fine.leans))
     findings.sort(key=lambda finding: SECTIONS.index(finding.section))  # which keeps their order within a section
     values = as_it_is[0].per_vehicle()
     return {
@@ -173,6 +174,7 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
         "tolerance": asdict(tolerance),
         "seeds": answers,
         "findings": [asdict(finding) for finding in findings],
+        **({"leans": True} if fine.leans else {}),
     }
 
 
