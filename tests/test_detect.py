@@ -266,7 +266,9 @@ def test_the_picture_shows_what_was_matched_in_the_median_frame_and_is_on_the_pa
     monkeypatch.setattr("blender_lidar.report.run_figures.draw_charts", lambda site, run: [])
     shown, plot = [], cloud_figures.plot_detections
     monkeypatch.setattr(
-        cloud_figures, "plot_detections", lambda path, *arguments: (shown.extend(arguments), plot(path, *arguments))
+        cloud_figures,
+        "plot_detections",
+        lambda path, *given, **leaning: (shown.extend(given), plot(path, *given, **leaning)),
     )
     out, _ = done(capsys, "evaluate", scene, *MOUNT, "--detector", "classical", "--out", tmp_path / "run")
     result = json.loads((tmp_path / "run" / "detection.json").read_text())

@@ -7,8 +7,10 @@ import shutil
 
 import pytest
 
-from blender_lidar.report.summary import answer, cautions, counted, key_figures, optimum_text
+from blender_lidar.report.cautions import cautions, optimum_text
+from blender_lidar.report.summary import answer, key_figures
 from blender_lidar.run.folder import RunFolder
+from blender_lidar.traffic.vehicles import counted
 from tests.report_samples import Page, change, page_of, result_of
 
 

@@ -17,7 +17,7 @@ from blender_lidar import files
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError, OutputError
 from blender_lidar.files import write_text
-from blender_lidar.report.summary import cautions
+from blender_lidar.report.cautions import cautions
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.scene.deployment import MOUNTING_OR_LEAN
 from tests.refusals import refused

@@ -15,7 +15,8 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.commands.options import parse_tolerance
-from blender_lidar.report.summary import answer, cautions, costliest_text, kept_text
+from blender_lidar.report.cautions import cautions, costliest_text
+from blender_lidar.report.summary import answer, kept_text
 from blender_lidar.report.tables import comparison_table
 from blender_lidar.run.tolerance import tolerance_text
 from blender_lidar.scoring.evaluation import Workplace

@@ -6,6 +6,7 @@ A parser names the function of its verb as ``module.function`` of this room, whi
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, METRIC_NAMES, VIEWS
@@ -38,15 +39,28 @@ def add_verbs(subparsers) -> None:
         add(subparsers)
 
 
-def _verb(subparsers, name, place, must, what, description, *examples) -> argparse.ArgumentParser:
-    """The parser of a verb; `place` is what carries it out, `must` what has to follow it, `examples` what may."""
+def _verb(subparsers, words, what, description, *examples, run="") -> argparse.ArgumentParser:
+    """The parser of a verb: `words` are its name and what has to follow it, `examples` what may.
+
+    `run` is what carries it out, the function of its module that is called so unless said.
+    """
+    name, _, must = words.partition(" ")
     usage = f"%(prog)s {must} [options]".replace("  ", " ")
-    lines = "".join(f"\n  blender-lidar {name} {words}" for words in examples)
+    lines = "".join(f"\n  blender-lidar {name} {example}" for example in examples)
     epilog = f"examples:{lines}" if examples else ""
     also = ["optimize"] if name == "optimise" else []
     parser = subparsers.add_parser(name, aliases=also, help=what, usage=usage, description=description, epilog=epilog)
-    parser.set_defaults(run=place)
+    parser.set_defaults(run=run or f"{name}.run")
     return parser
+
+
+def _add_declared(parser: argparse.ArgumentParser, options: type, groups: Mapping[str, Sequence[str]]) -> None:
+    """The options that a dataclass declares, by the titles of their groups."""
+    settings = settings_of(options)
+    for title, keys in groups.items():
+        group = parser.add_argument_group(title)
+        for key in keys:
+            add_option(group, settings[key], key, settings[key].default)
 
 
 def _output(parser: argparse.ArgumentParser, *, resumed: str = "", quick: str = "") -> None:
@@ -65,7 +79,9 @@ def _output(parser: argparse.ArgumentParser, *, resumed: str = "", quick: str = 
 
 def _init(subparsers) -> None:
     parser = _verb(
-        *(subparsers, "init", "init.run", "FOLDER --from FORMAT [FILE]", "propose a scene for a recording of your own"),
+        subparsers,
+        "init FOLDER --from FORMAT [FILE]",
+        "propose a scene for a recording of your own",
         "Propose road, lanes, region and a place for the pole from where the vehicles of a recording drive. Write the "
         "scene to FOLDER/scene.toml, and a picture to check it by eye to FOLDER/scene.png.",
         "my_site --from sumo run.fcd.xml --vehicle-types cars.rou.xml",
@@ -91,12 +107,15 @@ def _init(subparsers) -> None:
 
 def _optimise(subparsers) -> None:
     parser = _verb(
-        *(subparsers, "optimise", "optimise.run_optimise", "SCENE.toml", "find the best mounting for a scene"),
+        subparsers,
+        "optimise SCENE.toml",
+        "find the best mounting for a scene",
         "Search the mounting from which the LiDAR perceives the vehicles best, judge it on held-out traffic beside the "
         "baseline, and write a folder of results.",
         "i80",
         "i80 --sensor RS-80 --fidelity auto --out runs/rs80",
         "i80 --tolerance tilt_deg=1,height_m=0.05",
+        run="optimise.run_optimise",
     )
     add_scene(parser)
     _detector(parser)
@@ -117,10 +136,13 @@ def _detector(parser: argparse.ArgumentParser, default: str | None = None) -> No
 
 def _evaluate(subparsers) -> None:
     parser = _verb(
-        *(subparsers, "evaluate", "optimise.run_evaluate", "SCENE.toml", "score one mounting"),
+        subparsers,
+        "evaluate SCENE.toml",
+        "score one mounting",
         "Score one mounting beside the scene's baseline, on the searched and the held-out frames, and write a folder "
         "of results.",
         "i80 --height 4.1 --tilt-x 19",
+        run="optimise.run_evaluate",
     )
     add_scene(parser, leave_out=SEARCH_OPTIONS)
     add_pose(parser)
@@ -133,18 +155,15 @@ def _evaluate(subparsers) -> None:
 
 def _stability(subparsers) -> None:
     parser = _verb(
-        *(
-            subparsers,
-            "stability",
-            "studies.run_stability",
-            "SCENE.toml",
-            "how far to trust a mounting: vary one thing at a time",
-        ),
+        subparsers,
+        "stability SCENE.toml",
+        "how far to trust a mounting: vary one thing at a time",
         "Find out how far a mounting can be trusted, the one that the search finds or the one that is given: change "
         "traffic, installation, metric, sensor and random seed one at a time, and say what the mounting then loses to "
         "the best one.",
         "i80 --quick",
         "i80 --height 4.1 --tilt-x 19",
+        run="studies.run_stability",
     )
     add_scene(parser)
     add_pose(parser)
@@ -153,18 +172,15 @@ def _stability(subparsers) -> None:
 
 def _chart(subparsers) -> None:
     parser = _verb(
-        *(
-            subparsers,
-            "chart",
-            "studies.run_chart",
-            "SCENE.toml",
-            "speed and accuracy of cheaper models of a scene, for developers",
-        ),
+        subparsers,
+        "chart SCENE.toml",
+        "speed and accuracy of cheaper models of a scene, for developers",
         "Compare cheaper models of a scene (less vehicle detail, fewer beams and frames) with the full one, in time "
         "and in the mounting that they choose; name the cheapest one within --max-regret, and the parts of the model "
         "that change the choice. For developers of the model: nobody needs it to hang a LiDAR.",
         "i80 --quick",
         "i80 --max-regret 0.5% --sensor RS-80",
+        run="studies.run_chart",
     )
     add_scene(parser, leave_out=("--tolerance", "--search", "--particles", "--iterations"))
     add = parser.add_argument_group("chart").add_argument
@@ -179,11 +195,14 @@ def _chart(subparsers) -> None:
 
 def _scan(subparsers) -> None:
     parser = _verb(
-        *(subparsers, "scan", "scan.run_scan", "SCENE.toml --frame K --out CLOUD", "write the point clouds of frames"),
+        subparsers,
+        "scan SCENE.toml --frame K --out CLOUD",
+        "write the point clouds of frames",
         "Simulate one revolution of the LiDAR in a frame and write the point cloud: .npz (all attributes), .pcd, .ply, "
         ".las, .laz, or KITTI's .bin with its .label. With --frame-ids write a folder of clouds, one for each frame.",
         "i80 --frame 1000 --height 4.1 --tilt-x 19 --out cloud.pcd",
         "i80 --frame-ids 100:1000:100 --format sustechpoints --out clouds",
+        run="scan.run_scan",
     )
     add_moments(parser, many="many frames")
     add = parser.add_argument_group("output").add_argument
@@ -195,7 +214,9 @@ def _scan(subparsers) -> None:
 
 def _detect(subparsers) -> None:
     parser = _verb(
-        *(subparsers, "detect", "detect.run", "SCENE.toml|DATASET|CLOUDS", "judge a detector at a mounting"),
+        subparsers,
+        "detect SCENE.toml|DATASET|CLOUDS",
+        "judge a detector at a mounting",
         "Let a detector find the vehicles of the held-out frames at a mounting and at the baseline, and write recall, "
         "precision and average precision with paired intervals, the boxes as CSV and as KITTI's labels, and a picture "
         "of one frame. Given a data set, judge the detector on its validation scans, each from its mounting. Given a "
@@ -236,7 +257,9 @@ class DatasetOptions:
 
 def _dataset(subparsers) -> None:
     parser = _verb(
-        *(subparsers, "dataset", "dataset.run", "SCENE.toml", "labelled clouds to train and judge detectors with"),
+        subparsers,
+        "dataset SCENE.toml",
+        "labelled clouds to train and judge detectors with",
         "Scan frames of the traffic from random mountings, at random places along the road, half of them mirrored, and "
         "write clouds with boxes, point counts and visibility. Searched frames are for training, held-out ones for "
         "validation; no vehicle is labelled in both. To continue after a stop give the same command again.",
@@ -244,24 +267,19 @@ def _dataset(subparsers) -> None:
         "i80 --frames 50 --mountings 50 --scans 2500 --layout kitti --layout nuscenes --out i80_set",
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster"))
-    group, settings = parser.add_argument_group("data set"), settings_of(DatasetOptions)
-    for key in settings:
-        add_option(group, settings[key], key, settings[key].default)
+    _add_declared(parser, DatasetOptions, {"data set": tuple(settings_of(DatasetOptions))})
     _output(parser)
 
 
 def _build(subparsers) -> None:
     parser = _verb(
-        *(
-            subparsers,
-            "build",
-            "scan.run_build",
-            "SCENE.toml --frame K --out FILE.blend",
-            "write a scene as a .blend file",
-        ),
+        subparsers,
+        "build SCENE.toml --frame K --out FILE.blend",
+        "write a scene as a .blend file",
         "Build one frame's road, vehicles, LiDAR and point cloud in Blender and write them as a .blend file. With "
         "--frame-ids make an animation of these frames, with the cloud of the first.",
         "i80 --frame 1000 --height 4.1 --tilt-x 19 --out scene.blend",
+        run="scan.run_build",
     )
     add_moments(parser, many="an animation")
     add = parser.add_argument_group("output").add_argument
@@ -272,17 +290,14 @@ def _build(subparsers) -> None:
 
 def _render(subparsers) -> None:
     parser = _verb(
-        *(
-            subparsers,
-            "render",
-            "scan.run_render",
-            "RUN_DIR",
-            "render a run's mountings with their clouds, by Cycles",
-        ),
+        subparsers,
+        "render RUN_DIR",
+        "render a run's mountings with their clouds, by Cycles",
         "Render the baseline and the mounting of a run with their point clouds, from above and from the pole, into the "
         "run's folder, and add the pictures to its report.html. Points on a vehicle go from red to green with the "
         "vehicle's entropy.",
         "runs/i80_rs-16",
+        run="scan.run_render",
     )
     parser.add_argument("folder", metavar="RUN_DIR", help="folder of a run that has ended")
     frame = "number of the frame; by default the searched one with the most vehicles, or the most detections"
@@ -347,13 +362,9 @@ class ScoreOptions:
 
 def _score(subparsers) -> None:
     parser = _verb(
-        *(
-            subparsers,
-            "score",
-            "score.run",
-            "--points CLOUD --boxes BOXES.csv",
-            "score the vehicles of a labelled cloud",
-        ),
+        subparsers,
+        "score --points CLOUD --boxes BOXES.csv",
+        "score the vehicles of a labelled cloud",
         "Score the vehicles of a point cloud with known boxes: PE-VGOP of each vehicle, and other metrics on request.",
         "--points cloud.npz --boxes runs/i80_rs-16/vehicles.csv --frame 1000",
         "--points sweep.pcd --boxes boxes.csv --assign box --metric all",
@@ -363,11 +374,7 @@ def _score(subparsers) -> None:
         "metric": ("cell_m", "threshold", "view", "metrics"),
         "output": ("out", "json"),
     }
-    settings = settings_of(ScoreOptions)
-    for title, keys in groups.items():
-        group = parser.add_argument_group(title)
-        for key in keys:
-            add_option(group, settings[key], key, settings[key].default)
+    _add_declared(parser, ScoreOptions, groups)
 
 
 @dataclass(frozen=True, slots=True)
@@ -436,13 +443,9 @@ class CompareOptions:
 
 def _compare(subparsers) -> None:
     parser = _verb(
-        *(
-            subparsers,
-            "compare",
-            "compare.run",
-            "--points CLOUD --boxes BOXES.csv --sensor NAME",
-            "a recorded, labelled cloud beside its simulation",
-        ),
+        subparsers,
+        "compare --points CLOUD --boxes BOXES.csv --sensor NAME",
+        "a recorded, labelled cloud beside its simulation",
         "Compare recorded vehicles with simulated ones: the points of each labelled vehicle in a recorded cloud, and "
         "the points that the simulated sensor gets from it at the same place.",
         "--points sweep.pcd --boxes boxes.csv --sensor RS-80 --height 4.1 --tilt-x 9",
@@ -454,11 +457,7 @@ def _compare(subparsers) -> None:
         "simulation": ("details", "losses", "label_margin_m", "clearance_m", "caster"),
         "output": ("out", "json"),
     }
-    settings = settings_of(CompareOptions)
-    for title, keys in groups.items():
-        group = parser.add_argument_group(title)
-        for key in keys:
-            add_option(group, settings[key], key, settings[key].default)
+    _add_declared(parser, CompareOptions, groups)
 
 
 # --- What there is ----------------------------------------------------------------------------------------------------
@@ -466,7 +465,9 @@ def _compare(subparsers) -> None:
 
 def _sensors(subparsers) -> None:
     parser = _verb(
-        *(subparsers, "sensors", "sensors.run", "[NAME]", "list the LiDAR models, or show one with its beam fan"),
+        subparsers,
+        "sensors [NAME]",
+        "list the LiDAR models, or show one with its beam fan",
         "List the LiDAR models; with NAME show one in full, with its beam fan and its table of rings.",
         "RS-16",
         "own_sensor.csv --out fan.png",
@@ -481,6 +482,8 @@ def _sensors(subparsers) -> None:
 
 def _doctor(subparsers) -> None:
     _verb(
-        *(subparsers, "doctor", "doctor.run", "", "check the installation"),
+        subparsers,
+        "doctor",
+        "check the installation",
         "Show what is installed, and check every ray caster on a wall at known distances.",
     )

@@ -9,29 +9,28 @@ import sys
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from itertools import zip_longest
 from pathlib import Path
 
 from ..metrics.catalogue import metric_named
+from ..report.cautions import cautions
 from ..report.summary import (
-    COORDINATE_NAMES,
     aim_text,
     answer,
     as_sentence,
-    cautions,
-    counted,
     definitions,
     imperfections_text,
     region_text,
     scenery_text,
     warnings_text,
 )
-from ..report.tables import TextTable, group_tables, score_tables
+from ..report.tables import group_tables, score_tables, table_text
 from ..run.folder import RunFolder
 from ..run.optimise import scenery_counts
 from ..run.tolerance import SEARCHED_BASE, tolerance_text
+from ..scene.mounting import COORDINATE_NAMES
 from ..scene.site import Site
 from ..scoring.evaluation import workplace_of
+from ..traffic.vehicles import counted
 
 _NOTE_WIDTH = 120
 
@@ -125,16 +124,6 @@ def _filled(sentences: Sequence[str]) -> str:
     """Sentences, each on lines of its own that fit the terminal."""
     width = min(shutil.get_terminal_size((_NOTE_WIDTH, 24)).columns, _NOTE_WIDTH)
     return "\n".join(textwrap.fill(sentence, width, break_on_hyphens=False) for sentence in dict.fromkeys(sentences))
-
-
-def table_text(table: TextTable) -> str:
-    """A table in columns: the first flush left, numbers flush right."""
-    rows = [[cell for text, columns in line for cell in (text, *[""] * (columns - 1))] for line in table.head]
-    for heading, lines in table.sections:
-        rows += [[heading]] * bool(heading) + [[f"  {what}", *cells] for what, *cells in lines]
-    widths = [max(map(len, column)) for column in zip_longest(*rows, fillvalue="")]
-    padded = ([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows)
-    return "\n".join("  ".join(cells).rstrip() for cells in padded)
 
 
 def files(folder: RunFolder, charts: Sequence[str]) -> str:

@@ -68,12 +68,7 @@ def plot_beam_fan(model: LidarModel, path: str | Path) -> None:
     path : str or Path
         The PNG to write; an existing file is replaced.
 
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    OutputError
-        If the file cannot be written.
+    Errors as `figure.sheet`.
     """
     low, high = np.degrees(model.elevation_rad[[0, -1]])
     subtitle = (

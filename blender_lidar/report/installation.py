@@ -12,7 +12,8 @@ import numpy as np
 from ..run.tolerance import tolerance_text
 from ..scene.mounting import Mast
 from ..scene.site import Site
-from .summary import conditions, costliest_text, judged, kept_text, optimum_text, region_text, warnings_text, worth
+from .cautions import costliest_text, optimum_text
+from .summary import conditions, judged, kept_text, region_text, warnings_text, worth
 
 _WIDTH = 110
 _UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site

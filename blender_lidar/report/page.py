@@ -15,15 +15,14 @@ from .. import __version__
 from ..files import write_text
 from ..run.folder import DETECTION, INSTALLATION, REPORT, RESULT, SCENE, RunFolder, refused_by_name
 from ..toml_table import read_toml
-from ..traffic.vehicles import RepairReport
+from ..traffic.vehicles import RepairReport, counted
+from .cautions import cautions
 from .detection import detection_table, detection_text
 from .html import Markup, element, image, joined, sheet_markup, table, terms
 from .summary import (
     answer,
     as_sentence,
-    cautions,
     conditions,
-    counted,
     definitions,
     frames_word,
     key_figures,

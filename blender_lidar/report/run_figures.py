@@ -15,6 +15,7 @@ from ..run.folder import RunFolder
 from ..run.verdict import METRIC_VALUE, REGION_SHARE, WEIGHT, ScoreMap, near_best_threshold
 from ..scene.settings import ZoneSettings
 from ..scene.site import Site
+from ..traffic.vehicles import counted
 from .cloud_figures import draw_clouds, draw_occupancy
 from .figure import (
     ALONG_LABEL,
@@ -30,7 +31,7 @@ from .figure import (
     mark_sensor,
     sheet,
 )
-from .summary import counted, leans, mounting_text, sharp_of, sides, was_searched
+from .summary import leans, mounting_text, sharp_of, sides, was_searched
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -37,12 +37,7 @@ def plot_site_plan(recording: Recording, layout: RoadLayout, path: str | Path, a
     axis_names : (str, str)
         What the file calls the axes of its plane.
 
-    Raises
-    ------
-    MissingExtraError
-        If matplotlib is not installed.
-    OutputError
-        If the file cannot be written.
+    Errors as `figure.sheet`.
     """
     xy = recording.centre_m[:, :2]
     turned = recording.heading_rad - math.radians(layout.placing.heading_deg)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -13,10 +13,9 @@ from ..errors import MissingExtraError
 from ..files import to_csv, write_text
 from ..studies.driver import StudyFolder
 from .summary import warnings_text
+from .tables import WIDTH, markdown_table, text_table
 
 PAGE = "report.md"
-WIDTH = 120  # of texts for a terminal
-_NARROWEST = 40  # of a table's last column, which is wrapped
 
 
 class Section(NamedTuple):
@@ -101,24 +100,3 @@ def _columns(key: str, value: object) -> list[tuple[str, object]]:
     if key.endswith("interval_90"):
         value = dict(zip(("low", "high"), value or (None, None), strict=True))
     return [(f"{key}_{name}", one) for name, one in value.items()] if isinstance(value, Mapping) else [(key, value)]
-
-
-# --- lines and tables -------------------------------------------------------------------------------------------------
-
-
-def text_table(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows, the header first, in columns; the last column is wrapped to the width of a terminal."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)][:-1]
-    indent = sum(widths) + 2 * len(widths)
-    lines = []
-    for *cells, last in rows:
-        start = "".join(f"{cell:<{width}}  " for cell, width in zip(cells, widths, strict=True))
-        found = textwrap.wrap(last, max(WIDTH - indent, _NARROWEST)) or [""]
-        lines += [(start + found[0]).rstrip(), *(" " * indent + more for more in found[1:])]
-    return lines
-
-
-def markdown_table(rows: Iterable[Sequence[str]]) -> list[str]:
-    """Rows, the header first, as a table of Markdown."""
-    header, *rest = rows
-    return [f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rest)]

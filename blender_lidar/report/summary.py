@@ -11,22 +11,11 @@ from collections.abc import Mapping, Sequence
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..metrics.metric import Metric
 from ..run.tolerance import tolerance_text
+from ..scene.mounting import ANGLES
 from ..sensors.model import model_names
+from ..traffic.vehicles import counted
 
-COORDINATE_NAMES = {
-    "height_m": ("height", "m"),
-    "tilt_x_deg": ("tilt across the road", "deg"),
-    "tilt_y_deg": ("tilt along the road", "deg"),
-    "yaw_deg": ("yaw", "deg"),
-    "lean_deg": ("lean", "deg"),
-    "lean_direction_deg": ("direction of the lean", "deg"),
-    "spin_deg": ("spin", "deg"),
-    "x_m": ("x along the road", "m"),
-    "y_m": ("y across the road", "m"),
-}
-_MOST_NAMED = 5
-_LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
-TILTS, LEAN = ("tilt_x_deg", "tilt_y_deg", "yaw_deg"), ("lean_deg", "lean_direction_deg", "spin_deg")
+LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
 
 # --- What a run is about: its mountings, what judges them, and what the scores hold under -----------------------------
 
@@ -86,9 +75,9 @@ def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
     """
     if leans:
         parts = [f"{mount['height_m']:.2f} m above the road", "level"]
-        if mount["lean_deg"] >= _LEVEL_DEG:
+        if mount["lean_deg"] >= LEVEL_DEG:
             parts[1] = f"leaning {mount['lean_deg']:.1f}° {direction_text(mount)}"
-        if abs(mount["spin_deg"]) >= _LEVEL_DEG:
+        if abs(mount["spin_deg"]) >= LEVEL_DEG:
             parts.append(f"turned {mount['spin_deg']:.1f}° about its axis")
         if mount["x_m"] or mount["y_m"]:
             parts.append(f"at x {mount['x_m']:.2f} m and y {mount['y_m']:.2f} m")
@@ -98,10 +87,10 @@ def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
     across = "across it", "along it"
     if facing not in square.values():
         across = "towards where the mast faces", "sideways"
-    tilts = dict(zip(TILTS, across, strict=False))
-    leaning = [f"{mount[key]:.1f}° {way}" for key, way in tilts.items() if abs(mount[key]) >= _LEVEL_DEG]
+    tilts = dict(zip(ANGLES, across, strict=False))
+    leaning = [f"{mount[key]:.1f}° {way}" for key, way in tilts.items() if abs(mount[key]) >= LEVEL_DEG]
     parts = [f"{mount['height_m']:.2f} m above the road", f"tilted {' and '.join(leaning)}" if leaning else "level"]
-    if abs(mount["yaw_deg"]) >= _LEVEL_DEG:
+    if abs(mount["yaw_deg"]) >= LEVEL_DEG:
         parts.append(f"turned {mount['yaw_deg']:.1f}°")
     parts += [facing] if facing else []
     if mount["x_m"] or mount["y_m"]:
@@ -226,11 +215,6 @@ def definitions(result: Mapping) -> dict[str, str]:
 # --- How a number, a gain, an interval are written -------------------------------------------------------------
 
 
-def counted(number: int, what: str) -> str:
-    """A number of things: ``"1 frame"``, ``"2,000 frames"``, ``"2 boxes"``."""
-    return f"{number:,} {what}{('es' if what.endswith('x') else 's') * (number != 1)}"
-
-
 def minus(text: str) -> str:
     """A number's text with a minus that is as wide as a plus."""
     return text.replace("-", "\N{MINUS SIGN}")
@@ -290,34 +274,6 @@ def _orientation(result):
     return {f"lean{way}": f"{mount['lean_deg']:.1f}°"}
 
 
-def poles_text(result: Mapping) -> str:
-    """Which poles may be as good as the best; empty without candidate poles or held-out frames."""
-    poles = result.get("poles") or []
-    if len(poles) < 2 or poles[0]["holdout"] is None:
-        return ""
-    best, alike = poles[0]["name"], [pole["name"] for pole in poles[1:] if pole["holdout"]["differs"] is False]
-    if poles[1]["holdout"]["differs"] is None:
-        return "there are too few blocks of held-out time to distinguish poles"
-    if not alike:
-        return f"pole {best} differs from all others on held-out traffic"
-    which = f"{len(alike)} of the {len(poles) - 1} others" if len(alike) > _MOST_NAMED else " and ".join(alike)
-    return f"held-out traffic does not distinguish {which} from pole {best}, the best on the searched frames"
-
-
-def worst_text(result: Mapping) -> str:
-    """Which of several recordings a mounting sees worst; empty where there is one."""
-    recordings = result.get("recordings") or []
-    held = result["holdout"] is not None
-    scored = {one["name"]: one["holdout"] if held else one for one in recordings}
-    scored = {name: scores for name, scores in scored.items() if scores is not None}
-    if len(scored) < 2:
-        return ""
-    metric, whole = metric_named(result["metric"]), result["holdout"] if held else result
-    worst = (min if metric.higher_is_better else max)(scored, key=lambda name: scored[name]["objective_per_vehicle"])
-    values = (metric.amount(scores["objective_per_vehicle"], 1) for scores in (scored[worst], whole))
-    return "recording {} is seen worst: {} per vehicle, and {} in the weighted mean of all".format(worst, *values)
-
-
 def sensor_text(result: Mapping) -> str:
     """The sensor's name; that of a user's own beam table in quotes, as it may be any word."""
     return result["sensor"] if result["sensor"] in model_names() else f'LiDAR "{result["sensor"]}"'
@@ -364,87 +320,6 @@ def _interval(result, metric, gain):
     return f" (90 % interval of the gain {span(metric, (low, high))}{doubt})"
 
 
-# --- How far to trust the answer --------------------------------------------------------------------------------------
-
-_SMALL_SHORTFALL = 0.01  # what a search may miss before more of it is advised
-_ON_A_BOUND = 0.01  # of the width between two bounds: a search that reflects there comes close and never upon it
-_WIDTHS = {"height_m": "height_m", "tilt_x_deg": "tilt_deg", "tilt_y_deg": "tilt_deg", "yaw_deg": "yaw_deg"}
-
-
-def cautions(result: Mapping) -> list[str]:
-    """What tolerance, search and map say about how far to trust the optimum, as sentences."""
-    notes = (kept_text(result), costliest_text(result), _against_sharp(result), worst_text(result))
-    found = [as_sentence(note) for note in (*notes, _undecided_by_threshold(result)) if note]
-    if not was_searched(result):
-        return found
-    if not better_than_baseline(result):
-        found.append("No mounting that was tried is better than the baseline.")
-    for key, (name, unit) in COORDINATE_NAMES.items():
-        bounds, place = _bounds(result, key), result["deployment"].get(key)
-        if not isinstance(bounds, list) or place is None:
-            continue
-        low, high = bounds
-        if unit == "deg" and high - low == 360.0:  # a full circle has no bound
-            continue
-        if key in LEAN[1:]:  # given from -180 to 180 degrees, wherever it was searched
-            place = low + (place - low) % 360.0
-        slack = _ON_A_BOUND * (high - low)
-        upright = key == "lean_deg" and low == 0.0 and place < high - slack  # beyond which nothing lies
-        if not low + slack < place < high - slack and not upright:
-            whose = "its pole" if key == "height_m" and result.get("pole") else "[deployment]"
-            found.append(f"The best {name} lies on a bound of {whose}; a value beyond it may be better.")
-    if result.get("rungs"):
-        tried = sum(rung["candidates"] for rung in result["rungs"])
-        found.append(
-            f"Of {tried:,} mountings {result['evaluations']:,} were scored with all frames and beams, the others with "
-            "fewer (fidelity auto). No grid was scored to check the search; --fidelity full scores one."
-        )
-    if result["map"]:
-        found += _map_notes(result, "mounting found" if sharp_of(result) is None else "sharp mounting")
-    return [
-        *found,
-        *(as_sentence(text) for text in (poles_text(result), seeds_text(result), optimum_text(result)) if text),
-    ]
-
-
-def _undecided_by_threshold(result):
-    """Why the detectable share says nothing, where every vehicle is detectable, or none, under both mountings."""
-    found, base, on = judged(result)
-    if found["detectable_share"] != base["detectable_share"] or 0.0 < found["detectable_share"] < 1.0:
-        return ""
-    every, change = ("every", "higher") if found["detectable_share"] else ("no", "lower")
-    threshold = result["identity"]["[objective] threshold"]
-    return (
-        f"{every} vehicle is detectable under either mounting on {on}, so the detectable share does not "
-        f"distinguish them: [objective] threshold is {threshold:g}; try a {change} one"
-    )
-
-
-def _bounds(result, key):
-    """Between what a coordinate was searched, or the number that fixed it; on a pole with heights of its own these."""
-    searched = result.get("bounds") or {}
-    return searched.get(key, result["identity"].get(f"[deployment] {key}"))
-
-
-def seeds_text(result: Mapping) -> str:
-    """How far apart the searches with several seeds ended; empty where there was one."""
-    spread = result.get("spread")
-    if spread is None or len(spread["seeds"]) < 2:
-        return ""
-    places = []
-    for key in spread["searched"]:
-        name, unit = COORDINATE_NAMES[key]
-        found = [one["deployment"][key] for one in spread["seeds"] if one["deployment"][key] is not None]
-        if found and key in LEAN[1:]:  # on the circle, near the first
-            found = [found[0] + math.remainder(angle - found[0], 360.0) for angle in found]
-        if len(found) == len(spread["seeds"]):  # without a lean there is no direction
-            places.append(f"{name} {min(found):.{_DIGITS[unit]}f} to {max(found):.{_DIGITS[unit]}f} {unit}")
-    values = [one["objective_per_vehicle"] for one in spread["seeds"]]
-    base, best = result["baseline"]["objective_per_vehicle"], max(values)
-    lacks = f", the worst of them with {100 * (best - min(values)) / (best - base):.1f} % less gain than the best"
-    return f"{len(values)} searches with other seeds ended at {', '.join(places)}{lacks if best > base else ''}"
-
-
 def better_than_baseline(result: Mapping) -> bool:
     """Whether the mounting beats the baseline on the frames that were searched."""
     return result["objective"] > result["baseline"]["objective"]
@@ -457,7 +332,7 @@ def aim_text(settings: Mapping) -> str:
 
 def kept_text(result: Mapping) -> str:
     """How much of its gain the mounting keeps within the run's tolerance; empty without a tolerance or a gain."""
-    scores, where = _judged_over_tolerance(result)
+    scores, where = judged_over_tolerance(result)
     if scores is None or scores["gain_kept"] is None:
         return ""
     settings = result["tolerance"]["settings"]
@@ -467,41 +342,7 @@ def kept_text(result: Mapping) -> str:
     )
 
 
-def costliest_text(result: Mapping) -> str:
-    """Which single error at its limit costs most; empty without a tolerance, or where none costs anything."""
-    scores, where = _judged_over_tolerance(result)
-    limits = {} if scores is None else scores["loss_at_limits"]
-    ends = ((loss, key, sign) for key in limits for loss, sign in zip(limits[key], "-+", strict=True))
-    loss, key, sign = max(ends, default=(0.0, "", ""))
-    if loss <= 0.0:
-        return ""
-    (name, unit), width = COORDINATE_NAMES[key], result["tolerance"]["settings"][_WIDTHS[key]]
-    if key in TILTS[:2] and abs(math.remainder(result["deployment"]["yaw_deg"], 360.0)) >= _LEVEL_DEG:
-        name = f"tilt about the sensor's own {'x' if key == 'tilt_x_deg' else 'y'} axis"
-    metric = metric_named(result["metric"])
-    lost = f"{metric.difference(loss)}{metric.per_vehicle}"
-    return f"of single installation errors, {name} {sign}{width:g} {unit} costs most: {lost} ({where})"
-
-
-def _against_sharp(result):
-    """What robustness costs where all hangs as planned, and what it gains where it does not; "" without both."""
-    metric, sharp = metric_named(result["metric"]), sharp_of(result)
-    if sharp is None:
-        return ""
-    if sharp["deployment"] == result["deployment"]:
-        return "the search over the tolerance found no mounting better than the sharp one"
-    beside = (result["tolerance"]["robust"]["optimised"]["holdout"] or {}).get("over_sharp", {})
-    parts = []
-    for name, difference in beside.items():
-        text = metric.difference(difference["objective_per_vehicle"], sign="+")
-        if difference["interval_90"]:
-            text += f" (90 %: {span(metric, difference['interval_90'], 0, '+')})"
-        parts.append(f"{text} {'as planned' if name == 'as_planned' else 'over the tolerance'}")
-    start = "on held-out frames the robust mounting has, compared with the sharp one and per vehicle, "
-    return start + " and ".join(parts) if parts else ""
-
-
-def _judged_over_tolerance(result):
+def judged_over_tolerance(result: Mapping) -> tuple[Mapping | None, str]:
     """Scores of the mounting over the tolerance where it is judged, None without one, and which frames that is."""
     if result.get("tolerance") is None:
         return None, ""
@@ -509,78 +350,3 @@ def _judged_over_tolerance(result):
     if scores["holdout"] is not None:
         return scores["holdout"], "held-out frames"
     return scores, f"{frames_word(result)} frames"
-
-
-_DIGITS = {"m": 2, "deg": 1}
-
-
-def _map_notes(result, mounting):
-    """What the score map says of the search and the optimum: what was missed, how flat and how certain the top is."""
-    score_map = result["map"]
-    tilts = "leans" if "lean_deg" in score_map["best"] else "tilts"
-    grid = f"a grid of {score_map['points'][0]} x {score_map['points'][1]} heights and {tilts}"
-    if result.get("spread"):
-        grid += ", the other coordinates as the search had found them,"
-    shortfall, best = score_map["search_shortfall"], score_map["best"]
-    tilt = best["lean_deg"] if "lean_deg" in best else best["tilt_x_deg"]
-    found = []
-    if score_map.get("polished"):
-        found.append(
-            f"A point of {grid} was better than the mounting of the search, so a local search went on from there."
-        )
-    elif shortfall == 0:
-        found.append(f"No point of {grid} is better than the {mounting}.")
-    elif shortfall is not None and shortfall < _SMALL_SHORTFALL:
-        found.append(f"The search found all but {100 * shortfall:.2f} % of the gain that {grid} offers.")
-    elif shortfall is not None:
-        where = f"{best['height_m']:.2f} m and {tilt:.1f} deg"
-        found.append(
-            f"The search missed {100 * shortfall:.1f} % of the gain that {grid} offers, at {where}: "
-            "give it more --particles or --iterations."
-        )
-    regret = score_map.get("holdout_regret")
-    if regret is not None and regret > _SMALL_SHORTFALL:
-        lacks = f"lacks {100 * regret:.1f} % of the gain that the best point of that grid has there"
-        found.append(f"On the held-out frames the {mounting} {lacks}.")
-    return found
-
-
-def optimum_text(result: Mapping) -> str:
-    """Between what coordinates the optimum lies with other traffic; empty where no interval is known.
-
-    With two coordinates the map tells, with more the mountings that were tried: all coordinates may differ together.
-    """
-    spread, score_map = result.get("spread"), result["map"] or {}
-    intervals = (score_map if spread is None else spread).get("optimum_interval_90")
-    if not intervals:
-        return ""
-    if spread is None:
-        (height, tilt), what = intervals.values(), "lean" if "lean_deg" in intervals else "tilt"
-        places = [f"height {_between(*height, 1)} m", f"the best {what} {_between(*tilt, 0)} deg"]
-        among = (
-            ", on the grid; the mounting found lies between its points, outside that range" if _off_grid(result) else ""
-        )
-    else:
-        named = ((*COORDINATE_NAMES[key], *ends) for key, ends in intervals.items())
-        places = [f"{name} {_between(low, high, _DIGITS[unit] - 1)} {unit}" for name, unit, low, high in named]
-        among = f", among the {spread['mountings']:,} mountings that were tried: wider where these lie far apart"
-    *others, last = places
-    listed = f"{', '.join(others)} and {last}" if others else last
-    return f"other traffic of this kind would put the best {listed} (90 % of resampled blocks of time{among})"
-
-
-def _between(low, high, digits):
-    ends = [f"{end:.{digits}f}" for end in (low, high)]
-    return f"at {ends[0]}" if ends[0] == ends[1] else f"between {ends[0]} and {ends[1]}"
-
-
-def _off_grid(result):
-    """Whether the mounting found lies more than half a step of the map's grid outside the interval of the optimum."""
-    found, bounds = (sharp_of(result) or result)["deployment"], result.get("bounds") or {}
-    intervals = result["map"]["optimum_interval_90"]
-    points = result["map"].get("points", ())
-    for number, (key, (low, high)) in zip(points, intervals.items(), strict=False):
-        half_step = 0.5 * (bounds[key][1] - bounds[key][0]) / (number - 1) if key in bounds else 0.0
-        if not low - half_step <= found[key] <= high + half_step:
-            return True
-    return False

@@ -5,8 +5,10 @@ The terminal and the page print the same tables. `result` is everywhere the cont
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
@@ -15,10 +17,8 @@ from ..optimise import vehicle_score
 from ..run.folder import RunFolder
 from ..run.tolerance import tolerance_text
 from ..run.verdict import distance_bands, lanes, metric_values, vehicle_weight
+from ..scene.mounting import ANGLES, COORDINATE_NAMES, LEANS
 from .summary import (
-    COORDINATE_NAMES,
-    LEAN,
-    TILTS,
     aim_text,
     frames_word,
     leans,
@@ -58,7 +58,7 @@ def comparison_table(result: Mapping) -> TextTable:
     compared = {"baseline": result["baseline"], "sharp": sharp_of(result), mounting_name(result): result}
     compared = {name: scores for name, scores in compared.items() if scores is not None}
     mounts = [scores["deployment"] for scores in compared.values()]
-    shown = COORDINATE_NAMES.keys() - (TILTS if leans(result) else LEAN)
+    shown = COORDINATE_NAMES.keys() - (ANGLES if leans(result) else LEANS)
     always = ("height_m", "lean_deg" if leans(result) else "tilt_x_deg")
     mounting = [
         (f"{name} [{unit}]", *("-" if mount[key] is None else f"{mount[key]:.2f}" for mount in mounts))
@@ -201,3 +201,37 @@ def recordings_table(result: Mapping) -> TextTable | None:
     return TextTable(
         f"Each recording alone, on {'held-out' if held else frames_word(result)} frames", head, [("", rows)]
     )
+
+
+# --- Tables for a terminal, and for a page of Markdown ----------------------------------------------------------------
+
+WIDTH = 120  # of texts for a terminal
+_NARROWEST = 40  # of a table's last column, which is wrapped
+
+
+def table_text(table: TextTable) -> str:
+    """A table in columns: the first flush left, numbers flush right."""
+    rows = [[cell for text, columns in line for cell in (text, *[""] * (columns - 1))] for line in table.head]
+    for heading, lines in table.sections:
+        rows += [[heading]] * bool(heading) + [[f"  {what}", *cells] for what, *cells in lines]
+    widths = [max(map(len, column)) for column in zip_longest(*rows, fillvalue="")]
+    padded = ([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows)
+    return "\n".join("  ".join(cells).rstrip() for cells in padded)
+
+
+def text_table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows, the header first, in columns; the last column is wrapped to the width of a terminal."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)][:-1]
+    indent = sum(widths) + 2 * len(widths)
+    lines = []
+    for *cells, last in rows:
+        start = "".join(f"{cell:<{width}}  " for cell, width in zip(cells, widths, strict=True))
+        found = textwrap.wrap(last, max(WIDTH - indent, _NARROWEST)) or [""]
+        lines += [(start + found[0]).rstrip(), *(" " * indent + more for more in found[1:])]
+    return lines
+
+
+def markdown_table(rows: Iterable[Sequence[str]]) -> list[str]:
+    """Rows, the header first, as a table of Markdown."""
+    header, *rest = rows
+    return [f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rest)]

@@ -19,7 +19,6 @@ from statistics import median
 from timeit import timeit
 
 from arguments import SCENES, counting, parser_of, positive, run_script
-from blender_lidar.commands.report import table_text
 from blender_lidar.detection.judge import (
     DETECTORS,
     JudgedDetector,
@@ -32,7 +31,7 @@ from blender_lidar.detection.judge import (
 from blender_lidar.detection.scores import paired_intervals
 from blender_lidar.files import make_folder, write_text
 from blender_lidar.report.figure import BASELINE_LOOK, OPTIMISED_LOOK, sheet
-from blender_lidar.report.tables import TextTable
+from blender_lidar.report.tables import TextTable, table_text
 from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import Site, prepare
