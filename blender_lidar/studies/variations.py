@@ -39,7 +39,7 @@ TRUCK_SHARES = (0.0, 0.1, 0.3)
 CAR, VAN, TRUCK, BUS = (CLASSES.index(name) for name in ("car", "van", "truck", "bus"))
 SIZE_M = {TRUCK: (12.7, 2.59, 3.8), CAR: (4.5, 2.1, 1.5)}  # I-80's median lorry, as high as NGSIM's get, and car
 _BETWEEN = -(10**9)  # number of the strip next to the left carriageway, between both
-_ALONG = np.cos(np.radians(30.0))  # of the heading: what drives across the road does not queue
+_ALONG = np.cos(np.radians(30.0))  # of the heading off the lane's: what drives across the road does not queue
 
 Gaps = Callable[[np.ndarray], np.ndarray]
 """New bumper gaps from old ones [m]; negative where vehicles overlap."""
@@ -161,8 +161,8 @@ def queued(
     Vehicles
         With copies, if any, at the end. What drives across the road stays where it is.
     """
-    along = np.abs(np.cos(vehicles.heading_rad)) >= _ALONG
     at, (right, left), width = road.locate(vehicles.centre_m), road.edges_t, float(np.median(road.width_m))
+    along = np.abs(np.cos(vehicles.heading_rad - at.heading_rad)) >= _ALONG
     aside = np.floor((at.t_m - np.where(at.t_m < right, right, left)) / width).astype(int)
     beside = np.select([at.t_m < right, at.t_m >= left], [aside, len(road) + aside], _BETWEEN + aside)
     lane = np.where(at.lane >= 0, at.lane, beside)
