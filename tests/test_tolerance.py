@@ -100,7 +100,7 @@ def test_the_verdict_meets_no_error_that_the_search_met_but_none_at_all():
 
 
 def test_an_error_stays_within_its_half_width_and_exact_coordinates_have_none():
-    errors = dict(zip(COORDINATES[2:], installation_errors(TOLERANCE).T, strict=True))
+    errors = dict(zip(COORDINATES[2:], installation_errors(TOLERANCE, SEARCHED_BASE[TOLERANCE.aim]).T, strict=True))
     for key, width in {"height_m": 0.05, "tilt_x_deg": 1.0, "tilt_y_deg": 1.0}.items():
         assert 0.8 * width < np.abs(errors[key]).max() < width
     assert not errors["yaw_deg"].any()

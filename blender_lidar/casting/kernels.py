@@ -8,7 +8,7 @@ import numpy as np
 
 from ..compiled import compiled, inlined
 from .exact import ExactSearch
-from .protocol import MISS, Returns
+from .protocol import MISS, Returns, decide_doubtful
 
 # --- Rays and triangles' planes: the arithmetic that rasterising, the tree and measuring share ------------------------
 # A triangle is a row of `TrianglePlanes.rows`: three linear functions of a place, of its plane and of two corners'
@@ -175,11 +175,8 @@ class RayTree:
         origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
         directions = np.ascontiguousarray(directions)
         triangle, distance, undecided = _first_hits(origins, directions, float(max_range), self.boxes)
-        if len(undecided):
-            triangle[undecided] = MISS
-            found = self._exact.meet(origins[undecided], directions[undecided], max_range)
-            triangle[undecided[found.ray]], distance[undecided[found.ray]] = found.triangle, found.distance
-        ray = np.flatnonzero(triangle != MISS)
+        decide_doubtful(self._exact, origins, directions, max_range, undecided, triangle, distance)
+        ray = np.flatnonzero(distance < np.inf)
         return Returns(ray, triangle[ray], distance[ray])
 
 

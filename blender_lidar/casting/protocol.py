@@ -285,13 +285,6 @@ class Caster(ABC):
         """What meets rays in float64: the compiled tree, or without Numba the search."""
         return self.ray_tree if numba_works() else self._exact
 
-    def _decide(self, search, origins, directions, max_range, doubtful, triangle, distance):
-        """Let a search in float64 say, in place, what the doubtful of some rays meet; inf where nothing."""
-        if len(doubtful):
-            found = search.meet(origins_of(origins, doubtful), directions[doubtful], max_range)
-            distance[doubtful] = np.inf
-            distance[doubtful[found.ray]], triangle[doubtful[found.ray]] = found.distance, found.triangle
-
     @property
     def planes(self) -> np.ndarray:
         """`TrianglePlanes.rows`, (m, 13): counted from `origin`, in the order of `rows`."""
@@ -342,6 +335,14 @@ class Caster(ABC):
 def origins_of(origins: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """The origins of some rays; a shared one stays shared."""
     return origins if origins.ndim == 1 else np.take(origins, rays, axis=0)
+
+
+def decide_doubtful(search, origins, directions, max_range, doubtful, triangle, distance) -> None:
+    """Let a search in float64 say, in place, what the doubtful of some rays meet; inf where nothing."""
+    if len(doubtful):
+        found = search.meet(origins_of(origins, doubtful), directions[doubtful], max_range)
+        distance[doubtful] = np.inf
+        distance[doubtful[found.ray]], triangle[doubtful[found.ray]] = found.distance, found.triangle
 
 
 def _checked(origins, directions, max_range):

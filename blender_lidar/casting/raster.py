@@ -15,7 +15,7 @@ from ..compiled import compiled
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from .culling import ray_directions
-from .protocol import FARTHEST, Caster, Revolution
+from .protocol import FARTHEST, Caster, Revolution, decide_doubtful
 from .rasterise import RUN, DepthBuffer, LatticeTable, Mesh, depth_buffer, lattice_table, rasterise, undecided_beams
 
 _spare: dict[int, DepthBuffer] = {}  # by number of beams
@@ -53,7 +53,8 @@ class RasterCaster(Caster):
             triangle = np.minimum(buffer.triangle[beam], len(planes) - 1)  # of the undecided it is anything
         directions = ray_directions(lattice, beam, pose)
         distance = self._planes.meet(origin, directions, triangle).distance
-        self._decide(self._exact, origin, directions.T, max_range, np.searchsorted(beam, undecided), triangle, distance)
+        doubtful = np.searchsorted(beam, undecided)
+        decide_doubtful(self._exact, origin, directions.T, max_range, doubtful, triangle, distance)
         met = distance <= max_range
         return Revolution(beam[met], self.rows[triangle[met]], distance[met], directions[:, met])
 

@@ -26,7 +26,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from .protocol import MISS, Caster, Returns, origins_of, take
+from .protocol import MISS, Caster, Returns, decide_doubtful, origins_of, take
 
 _AT_A_TIME = 1 << 20  # pairs of a start and a triangle
 # Of a triangle's distance from where rays start: float32 keeps 6e-8 of it, and a ray-triangle test loses a few such.
@@ -155,7 +155,7 @@ class TreeCaster(Caster):
         origins, directions = origins_of(origins, ray), take(directions.T, ray, axis=1).T
         distance, facing, inside = self._planes.meet(origins.T, directions.T, triangle)
         doubtful = ~inside | ((facing > -EDGE_ON) if self._closed else (fence > 0) | (np.abs(facing) < EDGE_ON))
-        self._decide(self._sure, origins, directions, max_range, np.flatnonzero(doubtful), triangle, distance)
+        decide_doubtful(self._sure, origins, directions, max_range, np.flatnonzero(doubtful), triangle, distance)
         met = distance <= max_range
         return Returns(ray[met], triangle[met], distance[met])
 

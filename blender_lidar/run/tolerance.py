@@ -51,12 +51,8 @@ def orthogonal_array(dimensions: int, base: int) -> np.ndarray:
 _NOT_EXACT = ("height_m", *ANGLES)  # the coordinates that errors are of
 
 
-def installation_errors(tolerance: Tolerance, base: int | None = None) -> np.ndarray:
-    """Errors that stand for all that the tolerance allows, (base^2, 4): height [m], both tilts and yaw [degrees].
-
-    The base is that of a search with this tolerance unless given.
-    """
-    base = base or SEARCHED_BASE[tolerance.aim]
+def installation_errors(tolerance: Tolerance, base: int) -> np.ndarray:
+    """Errors that stand for all that the tolerance allows, (base^2, 4): height [m], both tilts and yaw [degrees]."""
     return errors_from(tolerance, orthogonal_array(len(tolerance.half_widths), base))
 
 
@@ -104,7 +100,7 @@ def objective_over(
     gain over the baseline, over 25 by 0.0009 and over the verdict's 121 by 0.0004; the 10 % quantile of 25 by 0.0017,
     of 121 by 0.0011. The mounting as planned is, alone, 0.006 off that mean.
     """
-    errors = installation_errors(tolerance, base)
+    errors = installation_errors(tolerance, base or SEARCHED_BASE[tolerance.aim])
     layouts = [layout for plan in plans for layout in _installed(plan, errors)]
     objective = evaluator.totals(layouts).objective.sum(axis=1)
     return aimed(objective.reshape(len(plans), len(errors)), tolerance.aim)
@@ -187,7 +183,7 @@ class Judged:
 
 
 def judged_rows(
-    totals: Totals, rows: slice, block: np.ndarray, recording: np.ndarray | None = None, aim: str = "mean"
+    totals: Totals, rows: slice, block: np.ndarray, recording: np.ndarray | None, aim: str = "mean"
 ) -> Judged:
     """Some rows of totals as the scores of one mounting."""
     of_rows = totals._replace(objective=totals.objective[rows], detectable=totals.detectable[rows])

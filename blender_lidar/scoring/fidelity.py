@@ -55,21 +55,6 @@ class Fidelity:
         frames = "all frames" if self.frames is None else f"{self.frames} frame{'s' * (self.frames != 1)}"
         return ", ".join((self.detail, beams, frames))
 
-    def observed(self, observation: Observation) -> Observation:
-        """The same sensor, seen through this fidelity but for frames; `observation` has every beam.
-
-        Raises
-        ------
-        InputError
-            For a stride beyond the columns of a turn.
-        """
-        lattice = observation.lattice
-        if self.stride != 1 or self.phase:
-            lattice = beam_lattice(
-                lattice.model, lattice.rotation_hz, phase_rad=self.phase * lattice.step_rad, stride=self.stride
-            )
-        return replace(observation.with_lidar(lattice=lattice), detail=self.detail)
-
 
 # --- frames -----------------------------------------------------------------------------------------------------------
 
@@ -116,12 +101,20 @@ def coarse_observation(observation: Observation, fidelity: Fidelity) -> Observat
     an eighth of the beams. Where all are good, 150 mountings within 0.15 m and 5 degrees about the best, shapes count:
     a quarter of the beams on all frames correlates by 0.93 with all beams on the vehicles' own bodies, with boxes by
     0.86, and all beams with boxes by 0.91, so boxes are not used.
+
+    Raises
+    ------
+    InputError
+        For a stride beyond the columns of a turn.
     """
-    seen = fidelity.observed(observation)
+    seen = replace(observation, detail=fidelity.detail)
     if fidelity.stride == 1:
         return seen
-    grown = observation.cell_m * math.sqrt(fidelity.stride)
-    return replace(seen, cell_m=max(observation.cell_m, min(grown, _LARGEST_CELL_M)))
+    all_beams = observation.lattice
+    phase_rad = fidelity.phase * all_beams.step_rad
+    lattice = beam_lattice(all_beams.model, all_beams.rotation_hz, phase_rad=phase_rad, stride=fidelity.stride)
+    grown = min(observation.cell_m * math.sqrt(fidelity.stride), _LARGEST_CELL_M)
+    return replace(seen.with_lidar(lattice=lattice), cell_m=max(observation.cell_m, grown))
 
 
 def coarsest_stride(observation: Observation) -> int:

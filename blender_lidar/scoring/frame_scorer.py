@@ -183,12 +183,8 @@ class FrameScorer:
             shown = ~scenery.hides(pose.position, directions.T, take(hits.distance, wanted))
             wanted, directions = wanted[shown], directions[:, shown]
         distance, row = take(distance, wanted), take(row, wanted)
-        return self._in_vehicle_frames(pose.position, directions, distance, row), row
-
-    def _in_vehicle_frames(self, origin, directions, distance, row) -> np.ndarray:
-        """Returns in the frames of their vehicles, (k, 3) [m], from directions (3, k) and distances (k,)."""
-        points = origin + (distance * directions).T  # Eqs. 2 and 3, the range scaling the direction alone
-        return to_vehicle_frame(points, self.vehicles.centre_m, self.vehicles.heading_rad, row)  # Eqs. 4 and 5
+        points = pose.position + (distance * directions).T  # Eqs. 2 and 3, the range scaling the direction alone
+        return to_vehicle_frame(points, self.vehicles.centre_m, self.vehicles.heading_rad, row), row  # Eqs. 4 and 5
 
     def _revolutions(self, layouts):
         """What the beams of each LiDAR of each layout meet, layout after layout."""
