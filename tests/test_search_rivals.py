@@ -148,7 +148,7 @@ def test_unusable_budgets_are_refused(name, options, message):
         make_search(name, LOWER, UPPER, **{"seed": 0, **options})
 
 
-def test_points_of_a_grid_made_when_they_are_asked_for_are_those_of_a_list_made_at_once_both_bounds_included():
+def test_points_of_a_grid_are_those_of_a_product_both_bounds_included():
     lower, upper, points = [0.1, -0.3], [0.7, 0.9], (7, 5)
     grid = run(GridSearch(lower, upper, points=points), sphere)
     axes = [np.linspace(*axis) for axis in zip(lower, upper, points, strict=True)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -12,18 +11,16 @@ import numpy as np
 from ..errors import InputError
 from .search import Search, check_whole, generator, uniform
 
-_BATCH = 20  # candidates to an ask, of a list that may be longer than memory
+_BATCH = 20  # candidates to an ask
 
 
 class _ListSearch(Search):
-    """A fixed list of candidates, asked for in batches; a batch is an "iteration" of the history."""
+    """A fixed list of candidates (budget, d), asked for in batches; a batch is an "iteration" of the history."""
 
-    @abstractmethod
-    def _rows(self, start: int, stop: int) -> np.ndarray:
-        """Candidates `start` to `stop` of the list, (stop - start, d)."""
+    _list: np.ndarray
 
     def _candidates(self) -> np.ndarray:
-        return self._rows(self.evaluations, min(self.evaluations + _BATCH, self.budget))
+        return self._list[self.evaluations : self.evaluations + _BATCH]
 
 
 class GridSearch(_ListSearch):
@@ -53,14 +50,12 @@ class GridSearch(_ListSearch):
         if np.shape(points) != (np.size(lower),):
             allowed = f"one whole number for each of the {np.size(lower)} variables"
             raise InputError(f"grid points: {points!r}; allowed: {allowed}")
-        self._points = tuple(check_whole(count, 2, "grid points") for count in points)
-        super().__init__(lower, upper, budget=math.prod(self._points), periodic=periodic)
-
-    def _rows(self, start: int, stop: int) -> np.ndarray:
-        node = np.column_stack(np.unravel_index(np.arange(start, stop), self._points))
-        last = np.array(self._points) - ~self.periodic  # a circle's upper bound is its lower one
-        x = node * ((self.upper - self.lower) / last) + self.lower  # as NumPy's linspace, which may not fit memory
-        return np.where(node == last, self.upper, x)
+        points = [check_whole(count, 2, "grid points") for count in points]
+        super().__init__(lower, upper, budget=math.prod(points), periodic=periodic)
+        ends = ~self.periodic  # a circle's upper bound is its lower one
+        sides = zip(self.lower, self.upper, points, ends, strict=True)
+        axes = [np.linspace(low, high, count, endpoint=end) for low, high, count, end in sides]
+        self._list = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.lower.size)
 
 
 class RandomSearch(_ListSearch):
@@ -85,12 +80,7 @@ class RandomSearch(_ListSearch):
 
     def __init__(self, lower: np.ndarray, upper: np.ndarray, *, seed: int, evaluations: int = 2000) -> None:
         super().__init__(lower, upper, budget=check_whole(evaluations, 1, "evaluations"))
-        self._seed = check_whole(seed, 0, "seed")
-
-    def _rows(self, start: int, stop: int) -> np.ndarray:
-        rng = generator(self._seed)
-        rng.bit_generator.advance(start * self.lower.size)
-        return uniform(rng, stop - start, self.lower, self.upper)
+        self._list = uniform(generator(seed), self.budget, self.lower, self.upper)
 
 
 def grid_points(evaluations: int, variables: int) -> tuple[int, ...]:
