@@ -51,7 +51,7 @@ def compiled(function: Callable, **settings: bool) -> Callable:
         kept.save = partial(_save, kept)
         _drop_unreadable(kept)
     except (AttributeError, OSError, RuntimeError):  # no place, or Numba keeps it in another way
-        _tell_once()
+        _warn_once()
         return njit(**_SETTINGS, **settings)(function)
     return made
 
@@ -65,7 +65,7 @@ def inlined(function: Callable) -> Callable:
 
 
 @cache
-def _tell_once() -> None:
+def _warn_once() -> None:
     """Warn that nothing can be kept, and not again in the processes that this one starts."""
     if multiprocessing.parent_process() is None:
         text = (

@@ -110,8 +110,8 @@ def faults_in_one_line(what: str, path: str | None = None) -> Iterator[None]:
         raise InputError(f"{what}{line}: {type(error).__name__}: {said}") from error
 
 
-def called(what: str, code: Callable, *given: object, **settings: object) -> Any:
-    """What a function of others returns; what it raises is reported in one line."""
+def call_plugin(what: str, code: Callable, *given: object, **settings: object) -> Any:
+    """Call a plug-in's function: what it returns; what it raises is reported in one line."""
     with faults_in_one_line(what, getattr(sys.modules.get(code.__module__), "__file__", None)):
         return code(*given, **settings)
 

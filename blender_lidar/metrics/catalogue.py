@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from ..plugins import IN_A_FILE, called, faults_in_one_line, is_plugin, load_plugin
+from ..plugins import IN_A_FILE, call_plugin, faults_in_one_line, is_plugin, load_plugin
 from . import vehicle_metrics as vehicle
-from .metric import NEEDS_DETECTABLE, NEEDS_DISTANCE, NEEDS_POINTS, Metric, SceneContext, Score, VehicleReturns
+from .metric import NEEDS_DETECTABLE, NEEDS_DISTANCE, NEEDS_POINTS, Metric, SceneContext, ScoreFunction, VehicleReturns
 
 # --- What each tells of a vehicle, to end a sentence ------------------------------------------------------------------
 
@@ -91,17 +91,17 @@ def metric_named(name: str, where: str = "") -> Metric:
     return replace(found, score=partial(_scored, what, found.score))
 
 
-def _learnt(what: str, learn: Callable[[SceneContext], Score], context: SceneContext) -> Score:
+def _learnt(what: str, learn: Callable[[SceneContext], ScoreFunction], context: SceneContext) -> ScoreFunction:
     """The score that a plug-in makes of a scene, its values checked."""
-    score = called(what, learn, context)
+    score = call_plugin(what, learn, context)
     if not callable(score):
         raise InputError(f"{what}: gave a {type(score).__name__}, having learnt; allowed: a function of the returns")
     return partial(_scored, what, score)
 
 
-def _scored(what: str, score: Score, returns: VehicleReturns) -> np.ndarray:
+def _scored(what: str, score: ScoreFunction, returns: VehicleReturns) -> np.ndarray:
     """The values of a plug-in, checked."""
-    values = called(what, score, returns)
+    values = call_plugin(what, score, returns)
     with faults_in_one_line(what):
         values = np.asarray(values)
     if values.dtype.kind not in "fiub":

@@ -192,7 +192,7 @@ def vehicle_returns(
     return VehicleReturns(size_m.astype(float, copy=False), count, shares, distance_m, points.astype(float), vehicle)
 
 
-Score = Callable[[VehicleReturns], np.ndarray]
+ScoreFunction = Callable[[VehicleReturns], np.ndarray]
 """Scores n vehicles: (n,), in the metric's own unit."""
 
 
@@ -230,9 +230,9 @@ class Metric:
     label: str
     unit: str
     higher_is_better: bool
-    score: Score | None = None
+    score: ScoreFunction | None = None
     needs: frozenset[str] = frozenset()
-    learn: Callable[[SceneContext], Score] | None = None
+    learn: Callable[[SceneContext], ScoreFunction] | None = None
     tells: str = ""
     decimals: int = 3
     of_share: bool = False
@@ -305,7 +305,7 @@ class Metric:
 
 
 def metric(
-    score: Score | None = None,
+    score: ScoreFunction | None = None,
     /,
     *,
     label: str = "",
@@ -315,7 +315,7 @@ def metric(
     lower_is_better: bool = False,
     needs: Iterable[str] = (),
     learns: bool = False,
-) -> Metric | Callable[[Score], Metric]:
+) -> Metric | Callable[[ScoreFunction], Metric]:
     """Decorator: a metric of one's own, from a function of `VehicleReturns` that gives (n,) finite values.
 
     ``--metric own.py:roof`` maximises it::
@@ -352,7 +352,7 @@ def metric(
         if what not in _MISSING:
             raise unknown_name(what, _MISSING, "need", "blender_lidar.metric: needs")
 
-    def decorated(score: Score) -> Metric:
+    def decorated(score: ScoreFunction) -> Metric:
         name = score.__name__
         made = {"learn": score} if learns else {"score": score}
         made |= {"needs": frozenset(needs), "tells": tells, "decimals": decimals}

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from ..names import ITERATIONS, PARTICLES, SEARCHES
-from ..plugins import IN_A_FILE, called, faults_in_one_line, is_plugin, load_plugin
+from ..plugins import IN_A_FILE, call_plugin, faults_in_one_line, is_plugin, load_plugin
 from .baselines import GridSearch, RandomSearch, grid_points
 from .de_pso import DePso, DePsoSettings
 from .hardened import Hardened
@@ -89,14 +89,14 @@ class OwnSearch(Search):
     ) -> None:
         super().__init__(lower, upper, budget=check_whole(budget, 1, "evaluations"))
         self.name, self._what, self._asked = name, f"search {name!r}", None
-        self._own = called(self._what, make, self.lower.copy(), self.upper.copy(), seed=seed, budget=self.budget)
+        self._own = call_plugin(self._what, make, self.lower.copy(), self.upper.copy(), seed=seed, budget=self.budget)
         for method in ("ask", "tell"):
             if not callable(getattr(self._own, method, None)):
                 raise InputError(f"{self._what}: has no {method}(); allowed: an object with ask() and tell(values)")
 
     def _candidates(self) -> np.ndarray:
         if self._asked is None:
-            asked = called(self._what, self._own.ask)
+            asked = call_plugin(self._what, self._own.ask)
             with faults_in_one_line(f"{self._what}: ask()"):
                 asked = np.array(asked)
             form = f"(s, {self.lower.size}), s at least 1, finite numbers"
@@ -111,7 +111,7 @@ class OwnSearch(Search):
 
     def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
         self._asked = None
-        called(self._what, self._own.tell, values.copy())
+        call_plugin(self._what, self._own.tell, values.copy())
 
 
 def search_named(name: str, where: str = "") -> Callable:

@@ -39,8 +39,8 @@ from .verdict import (
     map_scores,
     map_verdict,
     rank_places,
-    through,
     vehicle_table,
+    with_coordinates,
 )
 
 _BATCH = 100  # mountings of a record that are scored again together
@@ -153,7 +153,7 @@ def _search_space(site: Site, space: SearchSpace, evaluator: Evaluator, replay: 
 
 def _on_map(space: SearchSpace, score_map: ScoreMap, x: Sequence[float]) -> list[float]:
     """The best point of a score map, through a point `x` (d,) that fixes what the map does not span."""
-    return through(space, x, **dict(zip(score_map.axes, score_map.best, strict=False)))
+    return with_coordinates(space, x, **dict(zip(score_map.axes, score_map.best, strict=False)))
 
 
 def ended_search(site: Site, folder: RunFolder, note: Callable[[str], object]) -> dict | None:

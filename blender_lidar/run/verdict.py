@@ -272,7 +272,7 @@ class ScoreMap:
         return {axis: interval_90(values) for axis, values in zip(self.axes, resampled, strict=True)}
 
 
-def through(space: SearchSpace, x: Sequence[float], **changes: float) -> list[float]:
+def with_coordinates(space: SearchSpace, x: Sequence[float], **changes: float) -> list[float]:
     """A point of a search space with some of its searched coordinates changed."""
     return [changes.get(key, value) for key, value in zip(space.variables, x, strict=True)]
 
@@ -311,7 +311,7 @@ def map_scores(
     height, tilt = (np.linspace(*bounds[axis], points) for axis, points in zip(axes, grid, strict=True))
     parts = []
     for h in height.tolist():
-        points = (through(space, optimum, **dict(zip(axes, (h, t), strict=True))) for t in tilt.tolist())
+        points = (with_coordinates(space, optimum, **dict(zip(axes, (h, t), strict=True))) for t in tilt.tolist())
         parts.append(evaluator.totals([space.layout(x) for x in points]))
         progress(len(tilt))
     objective, detectable, *_ = zip(*parts, strict=True)
