@@ -1,4 +1,4 @@
-"""The add-on in the Blenders that are here: the checks of `addon_session.py`, each in every one of them."""
+"""The add-on in the Blenders that are here: the checks of `addon_checks_*.py`, each in every one of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,11 @@ from blender_lidar.casting import is_available
 from tests.waiting import WAIT_S
 
 SESSION = Path(__file__).with_name("addon_session.py")
-CHECKS = re.findall(r"^def check_(\w+)", SESSION.read_text(encoding="utf-8"), re.MULTILINE)
+CHECKS = [
+    name
+    for path in sorted(SESSION.parent.glob("addon_checks_*.py"))
+    for name in re.findall(r"^def check_(\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+]
 BLENDER = shutil.which("blender")
 PROGRAMS = {
     "Blender": [BLENDER, "--background", "--factory-startup", "--python-exit-code", "1", "--python", SESSION, "--"],
