@@ -23,8 +23,11 @@ from tests.test_sides import scene as two_way
 
 
 @pytest.fixture(autouse=True)
-def registered(quick):
-    """The add-on in a new file."""
+def registered(quick, tmp_path_factory, monkeypatch):
+    """The add-on in a new file; the processes that it starts draw no charts either."""
+    folder = tmp_path_factory.mktemp("no_charts")
+    (folder / "matplotlib.py").write_text("raise ImportError('not in this Python')\n")
+    monkeypatch.syspath_prepend(folder)  # which they are given
     bpy.ops.wm.read_homefile(use_empty=True)
     addon.register()
     yield

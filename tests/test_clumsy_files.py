@@ -10,6 +10,8 @@ from blender_lidar.cli import main
 from tests.refusals import refused
 from tests.small_scene import HEADER, REGION, traffic_rows, without_charts, write_scene
 
+pytestmark = pytest.mark.usefixtures("quick")
+
 ROWS = [dict(zip(HEADER, row, strict=True)) for row in traffic_rows()]
 WORDS = ("--height", 3.0, "--tilt-x", 15.0, "--json")
 
@@ -111,14 +113,11 @@ def judged(folder, content):
     return [result["vehicles"], held["vehicles"], held["blocks"], *held["interval_90"], *scores]
 
 
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    without_charts(monkeypatch)
-
-
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory):
-    return judged(tmp_path_factory.mktemp("clean"), text())
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        without_charts(monkeypatch)
+        return judged(tmp_path_factory.mktemp("clean"), text())
 
 
 @pytest.mark.parametrize("case", READ)

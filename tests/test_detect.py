@@ -90,6 +90,7 @@ def test_workers_change_nothing(of, detector, scene, tmp_path, capsys, all_start
     assert all_start[-1] == 2
 
 
+@pytest.mark.usefixtures("quick")
 def test_what_is_accepted_of_the_traffic_is_told_first(scene, tmp_path, capsys):
     rows = traffic_rows()
     for row in rows:
@@ -102,6 +103,7 @@ def test_what_is_accepted_of_the_traffic_is_told_first(scene, tmp_path, capsys):
     assert json.loads((tmp_path / "found" / "detection.json").read_text())["warnings"][0]["name"] == "headings"
 
 
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", ["detections.csv", "label_2"])
 def test_detections_of_ones_own_are_judged_as_the_same_boxes_are(name, scene, tmp_path, capsys):
     done(capsys, "detect", scene, *MOUNT, *CLASSICAL, "--out", tmp_path / "found")
@@ -114,6 +116,7 @@ def test_detections_of_ones_own_are_judged_as_the_same_boxes_are(name, scene, tm
         assert own["given"][measure] == pytest.approx(given[measure], abs=0.02)
 
 
+@pytest.mark.usefixtures("quick")
 def test_a_lidar_that_hangs_off_its_plan_costs_overlap(scene, tmp_path, capsys):
     """The classical detector looks at ranges, so that it finds as much, but at places that are off."""
     scores = []
@@ -229,6 +232,7 @@ def test_lost_returns_and_noise_leave_the_background_where_it_is(scene, tmp_path
     assert given["recall_0.3"] > 0.85
 
 
+@pytest.mark.usefixtures("quick")
 def test_results_take_the_place_of_earlier_ones(scene, tmp_path, capsys):
     done(capsys, "detect", scene, *MOUNT, *CLASSICAL, "--out", tmp_path / "found")
     (tmp_path / "found" / "label_2" / "999999.txt").touch()

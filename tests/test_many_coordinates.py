@@ -10,16 +10,13 @@ import pytest
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.statistics import best_intervals_90, interval_90, resampled_weights
 from tests.refusals import refused
-from tests.small_scene import MAPPED, REGION, cli, done, without_charts, without_times, write_scene
+from tests.small_scene import MAPPED, REGION, cli, done, without_times, write_scene
+
+pytestmark = pytest.mark.usefixtures("quick")
 
 THREE = {**REGION, "deployment": {"tilt_x_deg": [0.0, 25.0], "x_m": [-4.0, 4.0]}}
 BUDGET = {"search": {"particles": 5, "iterations": 8}}
 WORDS = ("--workers", 1, "--json")
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    without_charts(monkeypatch)
 
 
 def optimised(capsys, folder, changes, *words):

@@ -22,6 +22,8 @@ from blender_lidar.studies.variations import metric_variations
 from tests.small_scene import cli, done, write_scene
 from tests.waiting import WAIT_S
 
+pytestmark = pytest.mark.usefixtures("quick")
+
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "docs" / "examples"
 MAPPED = {"deployment": {"height_m": [2.0, 4.5], "tilt_x_deg": [0.0, 25.0]}}

@@ -28,15 +28,12 @@ from tests.refusals import refused
 from tests.sample_traffic import one_vehicle
 from tests.small_scene import REGION, cli, done, mounting, without_charts, without_times, write_scene
 
+pytestmark = pytest.mark.usefixtures("quick")
+
 HEADER = "name,x_m,y_m,foot_z_m,height_min_m,height_max_m,cost,existing\n"
 ROWS = "lamp,0,0,0.5,2,3,,yes\ngantry,-6,-1,,,,1500,no\nfar mast,60,-40,0,2,6,,\n"
 CHANGES = {**REGION, "deployment": {"poles": "poles.csv"}, "traffic": {"block_s": 10.0}}
 WORDS = ("--workers", 1, "--json")
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    without_charts(monkeypatch)
 
 
 def scene_with(folder, rows=ROWS, header=HEADER, changes=CHANGES):

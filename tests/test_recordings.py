@@ -22,19 +22,15 @@ from tests.small_scene import (
     cli,
     done,
     traffic_rows,
-    without_charts,
     without_times,
     write_table,
 )
 
+pytestmark = pytest.mark.usefixtures("quick")
+
 MORNING = {"path": "morning.csv", "frames": 6, "holdout": 0.4, "block_s": 10.0}
 EVENING = {"path": "evening.csv", "frames": 4, "holdout": 0.5, "block_s": 12.0}
 WORDS = ("--workers", 1, "--json")
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    without_charts(monkeypatch)
 
 
 def scene_of(folder, *recordings, **changes):
