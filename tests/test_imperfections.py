@@ -10,14 +10,11 @@ import pytest
 from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.scene.mounting import Mast, Mounting
-from blender_lidar.scene.observation import Observation, Scoring
-from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
-from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model, unit_of
 from blender_lidar.sensors.pose import Pose
-from tests.sample_traffic import counted_frames, dense_traffic, one_vehicle
+from tests.sample_traffic import dense_traffic, one_vehicle
 
 FINE = {name: beam_lattice(load_model(name)) for name in ("RS-16", "RS-LiDAR-32")}
 COARSE = {
@@ -203,20 +200,6 @@ def test_no_return_of_great_noise_lies_behind_the_sensor():
     cloud = cloud_of(Imperfections(10.0), min_range_m=0.0)
     assert len(cloud) > 1000
     assert cloud.range_m.min() >= 0.0
-
-
-# --- scores -----------------------------------------------------------------------------------------------------------
-
-
-def test_one_worker_and_two_give_the_same_bits():
-    seen = Observation((Lidar(COARSE["RS-16"], 50.0, 0.4, ROUGH),), "exact", "body", 0.05)
-    found, frames, scoring = [], counted_frames(4), Scoring(0.005, "mean", -1.0, "corrected")
-    for workers in (1, 2):
-        with Evaluator(frames, seen, scoring, workers) as evaluator:
-            found.append(evaluator.totals(LAYOUTS).objective)
-    assert found[0].tobytes() == found[1].tobytes()
-    with Evaluator(frames, seen.with_lidar(imperfections=PERFECT), scoring) as evaluator:
-        assert (evaluator.totals(LAYOUTS).objective != found[0]).any()
 
 
 # --- settings that cannot be ------------------------------------------------------------------------------------------

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,26 +77,6 @@ def test_a_result_tells_its_imperfections_and_the_run_says_so(tmp_path, capsys):
         assert ("imperfect" in heading) == bool(words)
     assert results[1]["imperfections"] == TOLD
     assert results[1]["objective"] == results[2]["objective"] != results[0]["objective"]
-
-
-@pytest.mark.parametrize(
-    "words",
-    [(), ("--glass-dropout", 1), ("--range-at-10-percent", 8), WORDS],
-    ids=["off", "no glass", "weak", "all"],
-)
-def test_a_run_counts_the_points_that_a_scan_writes(tmp_path, capsys, words):
-    scene, mount = write_scene(tmp_path), ("--height", 3, "--tilt-x", 10)
-    for verb, *where in (
-        ("evaluate", "--frame-ids", "9,21", "--out", "run"),
-        ("scan", "--frame", 9, "--out", "cloud.npz"),
-    ):
-        done(capsys, verb, scene, *where, *mount, *words)
-    with Path("run/vehicles.csv").open(newline="") as stream:
-        rows = [row for row in csv.DictReader(stream) if row["frame"] == "9"]
-    vehicle_id = np.load("cloud.npz")["vehicle_id"]
-    points = {int(row["vehicle_id"]): int(row["points"]) for row in rows}
-    assert sum(points.values()) > 100
-    assert points == {number: int((vehicle_id == number).sum()) for number in points}
 
 
 @pytest.mark.parametrize(

@@ -72,14 +72,6 @@ def test_the_objective_sums_the_metric_of_each_vehicle_as_it_is_seen_from_each_m
             assert totals.objective[row, column] == pytest.approx(expected, rel=1e-9), (frame, pose)
 
 
-def test_one_worker_and_two_give_the_same_bits_with_a_metric_that_needs_the_returns():
-    scoring, found = Scoring(0.005, "mean", None, "corrected", "voxel-entropy-0.2"), []
-    for workers in (1, 2):
-        with Evaluator(FRAMES, SEEN, scoring, workers=workers) as evaluator:
-            found.append(evaluator.totals(LAYOUTS).objective.tobytes())
-    assert found[0] == found[1]
-
-
 def test_returns_are_kept_by_mounting_and_vehicle_only_where_they_are_asked_for():
     scorer = FrameScorer(FRAMES[0].vehicles, FRAMES[0].counted, SEEN)
     assert scorer.see(singles(POSES)).returns is None

@@ -155,21 +155,6 @@ def test_a_run_whose_worker_is_killed_has_failed_by_no_fault_of_its_input(start,
 # --- stopped ----------------------------------------------------------------------------------------------------------
 
 
-@needs_proc
-@pytest.mark.parametrize(("workers", "to"), [(1, "process"), (2, "group")])
-def test_ctrl_c_says_how_to_go_on_and_leaves_no_process_behind(start, tmp_path, finished, workers, to):
-    out = tmp_path / "run"
-    run = start(finished[0], out, "--workers", workers, *ENDLESS)
-    wait_for((out / "checkpoint.json").exists)
-    assert (len(run.survivors()) > 1) == (workers > 1)
-    run.send(signal.SIGINT, group=to == "group")
-    run.code()
-    check_nobody_is_left(run)
-    check_stopped(run)
-    assert run.stderr.splitlines()[-1] == f"blender-lidar: stopped; go on with: --out {out} --resume"
-    check_whole(out)
-
-
 def test_a_stopped_run_goes_on_to_the_same_result(start, tmp_path, finished):
     scene, undisturbed = finished
     run = start(scene, tmp_path / "run", dies_at=4, by="SIGINT")

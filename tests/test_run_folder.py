@@ -216,27 +216,6 @@ def test_the_same_seed_gives_the_same_result_and_another_seed_another(tmp_path, 
     assert other["deployment"] != first["deployment"]
 
 
-def test_the_number_of_workers_changes_nothing(tmp_path, capsys):
-    scene = write_scene(tmp_path)
-    alone = optimise(capsys, scene, tmp_path / "one", "--workers", 1)
-    shared = optimise(capsys, scene, tmp_path / "two", "--workers", 2)
-    assert without_times(alone) == without_times(shared)
-    assert (tmp_path / "one" / "history.csv").read_bytes() == (tmp_path / "two" / "history.csv").read_bytes()
-
-
-def test_the_scene_in_the_folder_makes_the_same_run_from_anywhere(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_scene(tmp_path / "scenes")
-    options = ["--detail", "box", "--frame-ids", "9:33:6", "--seed", 5, "--sensor", "RS-32", "--search", "random"]
-    first = optimise(capsys, Path("scenes/scene.toml"), tmp_path / "a", *options)
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
-    again = optimise(capsys, tmp_path / "a" / "scene.toml", tmp_path / "b")
-    assert without_times(again) == without_times(first)
-    assert first["frame_ids"] == [9, 15, 21, 27, 33]
-
-
 def test_the_scene_in_the_folder_spells_out_what_the_scene_left_out(tmp_path, capsys):
     optimise(capsys, write_scene(tmp_path), tmp_path / "run")
     text = (tmp_path / "run" / "scene.toml").read_text()
@@ -289,7 +268,7 @@ def test_a_folder_with_hidden_files_may_be_used_and_a_run_with_notes_in_it_resum
     assert (tmp_path / "run" / "notes.txt").read_text() == "mine"
 
 
-@pytest.mark.parametrize("name", ["vehicles.csv", "scene.toml"])
+@pytest.mark.parametrize("name", ["vehicles.csv", "scene.toml", "report.html"])
 def test_a_file_of_the_users_own_is_never_written_over(tmp_path, name):
     (tmp_path / name).write_text("mine")
     for resume in (False, True):
@@ -383,16 +362,13 @@ def test_what_a_killed_run_had_not_finished_writing_is_swept_away_and_no_file_of
     assert {path.name for path in tmp_path.iterdir()} == set(theirs)
 
 
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        *((name, content) for name in ("history.csv", "vehicles.csv") for content in (b"", b"a,b\n1\n", b"\xff\xfe")),
-        ("vehicles.csv", b"x,y\n1,2\n"),
-    ],
-)
-def test_a_damaged_table_is_refused_by_name(tmp_path, capsys, name, content):
+def test_a_damaged_table_is_refused_by_name(tmp_path, capsys):
     scene = write_scene(tmp_path)
     optimise(capsys, scene, tmp_path / "run")
-    (tmp_path / "run" / name).write_bytes(content)
-    line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run", "--resume", begun=True)
-    assert f"{name}: is damaged, or not of this version: " in line
+    for name in ("history.csv", "vehicles.csv"):
+        whole = (tmp_path / "run" / name).read_bytes()
+        for content in (b"", b"a,b\n1\n", b"\xff\xfe", *([b"x,y\n1,2\n"] if name == "vehicles.csv" else [])):
+            (tmp_path / "run" / name).write_bytes(content)
+            line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run", "--resume", begun=True)
+            assert f"{name}: is damaged, or not of this version: " in line
+        (tmp_path / "run" / name).write_bytes(whole)

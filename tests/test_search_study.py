@@ -149,8 +149,7 @@ def small_tasks():
     return [Task(f"bbob_2d_{k}", "bbob", "2", k, 20) for k in range(3)]
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_stopped_study_goes_on_and_comes_to_the_same(tmp_path, workers):
+def test_a_study_of_two_processes_that_is_stopped_goes_on_in_one_and_comes_to_the_same(tmp_path):
     for library in ("ioh", "cmaes"):
         pytest.importorskip(library)
     whole, stopped = StudyFolder(tmp_path / "whole", {}), StudyFolder(tmp_path / "stopped", {})
@@ -161,11 +160,11 @@ def test_a_stopped_study_goes_on_and_comes_to_the_same(tmp_path, workers):
         raise KeyboardInterrupt
 
     with stopped.locked(), pytest.raises(KeyboardInterrupt):
-        carry_out(stopped, small_tasks(), workers, interrupted)
+        carry_out(stopped, small_tasks(), 2, interrupted)
     assert sum(stopped.holds(task.name) for task in small_tasks()) == 1
     message = []
     with stopped.locked(resume=True):
-        carry_out(stopped, small_tasks(), workers, message.append)
+        carry_out(stopped, small_tasks(), 1, message.append)
     assert sum(message) == 3
     found = [[folder.stage(task.name, task.run) for task in small_tasks()] for folder in (whole, stopped)]
     assert found[0] == found[1]

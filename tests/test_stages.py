@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from blender_lidar.errors import InputError, OutputError
+from blender_lidar.errors import InputError
 from blender_lidar.files import folder_lock
 from blender_lidar.scene.provenance import run_identity
 from blender_lidar.scene.scenario import load_scenario
@@ -69,12 +69,6 @@ def test_files_that_no_study_has_written_are_not_written_over(tmp_path, name):
     assert (tmp_path / name).read_text() == "mine"
 
 
-def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
-    (tmp_path / "run").write_text("mine")
-    with pytest.raises(OutputError, match="is a file"):
-        StudyFolder(tmp_path / "run" / "deeper", SETTINGS).check()
-
-
 def test_a_damaged_identity_is_refused_by_name(tmp_path):
     (tmp_path / IDENTITY).write_text("{")
     with pytest.raises(InputError, match=IDENTITY):
@@ -114,12 +108,6 @@ def test_a_study_made_by_other_code_is_not_gone_on_with(tmp_path, monkeypatch):
         StudyFolder(tmp_path / "study", run_identity(scenario, "exact")).check(resume=True)
 
 
-def test_two_runs_cannot_work_in_one_folder(tmp_path):
-    second = StudyFolder(tmp_path, SETTINGS)
-    with StudyFolder(tmp_path, SETTINGS).locked(), pytest.raises(OutputError, match="another run"):
-        second.locked(resume=True).__enter__()
-
-
 def test_what_a_killed_study_had_not_finished_writing_is_swept_away_and_no_file_of_anybody_else(tmp_path):
     """A study removed every hidden file that matches `.*-????????.*`."""
     kept, left = [".notes-12345678.txt", ".photo.png.1.part"], [f"{STAGES}/.blender_lidar-1-abcdefgh.json"]
@@ -137,8 +125,3 @@ def test_the_identity_is_stored_as_it_was_given(tmp_path):
         pass
     assert json.loads((tmp_path / IDENTITY).read_text()) == SETTINGS | {"grid": [2, 3]}
     StudyFolder(tmp_path, SETTINGS | {"grid": (2, 3)}).check(resume=True)
-
-
-def test_a_folder_whose_name_is_too_long_is_refused_in_one_line(tmp_path):
-    with pytest.raises(OutputError, match="the folder cannot be made: File name too long"):
-        StudyFolder(tmp_path / ("x" * 300), SETTINGS).check()
