@@ -1,10 +1,10 @@
-"""Commands that must be refused, in one line and with nothing left behind; and tables with a bad cell."""
+"""Commands that must be refused, in one line and with nothing left behind."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from tests.small_scene import HEADER, cli, traffic_rows
+from tests.small_scene import cli
 
 
 def files(folder: Path) -> set[Path]:
@@ -26,21 +26,3 @@ def refused(capsys, folder: Path, *words: object, begun: bool = False) -> str:
     assert lines[0].startswith("blender-lidar")
     assert files(folder) == before
     return lines[0]
-
-
-def changed(column: str, value: object, row: int = 3) -> list[list[object]]:
-    rows = traffic_rows()
-    rows[row][HEADER.index(column)] = value
-    return rows
-
-
-BAD_CELLS = {
-    "text in a number": ("x_m", "twelve"),
-    "NaN": ("x_m", "nan"),
-    "infinite": ("y_m", "inf"),
-    "negative size": ("length_m", -4.0),
-    "size of nothing": ("width_m", 0),
-    "half a frame": ("frame", 2.5),
-    "unknown class": ("class", "lorry"),
-    "nothing": ("height_m", ""),
-}

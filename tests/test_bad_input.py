@@ -7,11 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.refusals import BAD_CELLS, changed, files, refused
+from tests.refusals import files, refused
 from tests.scene_texts import MINIMAL
-from tests.small_scene import done, traffic_rows, write_scene, write_table
+from tests.small_scene import cli, done, traffic_rows, write_scene, write_table
 
 pytestmark = pytest.mark.usefixtures("quick")
 
@@ -64,13 +65,12 @@ def test_a_scene_that_is_not_there_or_is_a_folder(tmp_path, capsys, verb):
 # --- the traffic ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("case", BAD_CELLS)
-def test_a_cell_that_cannot_be_used_is_named_by_line_and_column(tmp_path, capsys, case):
-    column, value = BAD_CELLS[case]
-    write_table(tmp_path / "traffic.csv", changed(column, value))
+def test_a_cell_that_cannot_be_used_is_named_by_line_and_column(tmp_path, capsys):
+    rows = traffic_rows()
+    rows[3][3] = "twelve"
+    write_table(tmp_path / "traffic.csv", rows)
     line = refused(capsys, tmp_path, *words_for("scan", write_scene(tmp_path), tmp_path))
-    assert "traffic.csv:5: " in line  # the header is line 1
-    assert column in line
+    assert "traffic.csv:5: x_m is 'twelve'" in line  # the header is line 1
 
 
 def test_a_traffic_file_that_is_not_there_or_is_a_folder(tmp_path, capsys, verb):
@@ -176,6 +176,90 @@ def test_a_cloud_of_an_unknown_format(tmp_path, capsys):
     assert "'.xyz'; allowed: .npz, .pcd" in line
 
 
+# --- score ------------------------------------------------------------------------------------------------------------
+# What is wrong with a cloud or a table itself is in test_clouds and test_traffic_table.
+
+
+@pytest.fixture
+def boxes(tmp_path):
+    rows = [[0, 7, "car", 0.0, 5.0, 4.0, 2.0, 1.5, 0.0, 0.0], [0, 8, "car", 9.0, 5.0, 4.0, 2.0, 1.5, 0.0, 0.0]]
+    return write_table(tmp_path / "boxes.csv", rows)
+
+
+@pytest.fixture
+def points(tmp_path):
+    path = tmp_path / "points.npz"
+    np.savez(path, xyz=np.array([[0.0, 4.0, 0.7], [9.0, 4.0, 0.7]]), vehicle_id=np.array([7, 8]))
+    return path
+
+
+@pytest.mark.parametrize("name", ["empty.pcd", "binary.npz", "cloud.las"])
+def test_a_cloud_that_cannot_be_scored(tmp_path, capsys, boxes, name):
+    (tmp_path / name).write_bytes(b"" if name == "empty.pcd" else b"LASF")
+    line = refused(capsys, tmp_path, "score", "--points", tmp_path / name, "--boxes", boxes, "--assign", "box")
+    assert name in line
+
+
+def test_clouds_and_boxes_that_are_not_there_or_are_folders(tmp_path, capsys, boxes, points):
+    def line(cloud, table):
+        return refused(capsys, tmp_path, "score", "--points", cloud, "--boxes", table)
+
+    assert "none.npz" in line("none.npz", boxes)
+    assert f"{tmp_path}: is a folder" in line(tmp_path, boxes)
+    assert "none.csv: there is no such file" in line(points, "none.csv")
+    assert f"{tmp_path}: is a folder" in line(points, tmp_path)
+
+
+def test_boxes_that_cannot_be_used(tmp_path, capsys, points):
+    table = write_table(tmp_path / "boxes.csv", [[0, 7, "car", 0.0, 5.0, -4.0, 2.0, 1.5, 0.0, 0.0]])
+    assert "boxes.csv:2: " in refused(capsys, tmp_path, "score", "--points", points, "--boxes", table)
+
+
+def test_a_cloud_without_vehicle_ids_asks_for_assignment_by_box(tmp_path, capsys, boxes):
+    np.savez(tmp_path / "bare.npz", xyz=np.zeros((2, 3)))
+    line = refused(capsys, tmp_path, "score", "--points", tmp_path / "bare.npz", "--boxes", boxes)
+    assert "does not say which vehicle a point belongs to; use --assign box" in line
+
+
+def test_boxes_with_texts_for_ids_ask_for_assignment_by_box(tmp_path, capsys, points):
+    rows = [[0, "veh_7", "car", 0.0, 5.0, 4.0, 2.0, 1.5, 0.0, 0.0]]
+    words = ["score", "--points", points, "--boxes", write_table(tmp_path / "boxes.csv", rows)]
+    assert "boxes.csv: vehicle_id are texts, and a cloud's are numbers" in refused(capsys, tmp_path, *words)
+    assert cli(capsys, *words, "--assign", "box")[0] == 0
+
+
+def test_boxes_of_several_frames_need_a_frame(tmp_path, capsys, points):
+    table = write_table(tmp_path / "boxes.csv", traffic_rows())
+    assert "name one with --frame" in refused(capsys, tmp_path, "score", "--points", points, "--boxes", table)
+    line = refused(capsys, tmp_path, "score", "--points", points, "--boxes", table, "--frame", 99)
+    assert "no frame 99" in line
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--cell", "0"], "--cell: is 0.0; allowed: at least 0.001"),
+        (["--cell", "nan"], "--cell: is nan; allowed: a number"),
+        (["--threshold", "-1"], "--threshold: is -1.0; allowed: at least 0"),
+        (["--ground-clearance", "-0.1"], "--ground-clearance: is -0.1; allowed: at least 0"),
+        (["--ground-clearance", "low"], "--ground-clearance: is 'low'; allowed: a number"),
+        (["--assign", "near"], "argument --assign: invalid choice: 'near'"),
+        (["--view", "back"], "argument --view: invalid choice: 'back'"),
+    ],
+    ids=lambda value: " ".join(value)[:24],
+)
+def test_options_of_score_that_cannot_be_used(tmp_path, capsys, boxes, points, words, expected):
+    assert expected in refused(capsys, tmp_path, "score", "--points", points, "--boxes", boxes, *words)
+
+
+@pytest.mark.parametrize("out", ["file/scores.csv", "folder"])
+def test_scores_that_cannot_be_written(tmp_path, capsys, boxes, points, out):
+    (tmp_path / "file").write_text("here")
+    (tmp_path / "folder").mkdir()
+    line = refused(capsys, tmp_path, "score", "--points", points, "--boxes", boxes, "--out", out)
+    assert f"{out}: cannot be written: " in line
+
+
 # --- where nothing can be written -------------------------------------------------------------------------------------
 
 
@@ -242,17 +326,16 @@ def test_a_folder_with_a_scene_of_the_users_own_is_not_written_to(tmp_path, caps
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no limits on the size of files")
-@pytest.mark.parametrize("verb", SCENE_VERBS)
-def test_a_disk_that_is_full_leaves_no_half_file(tmp_path, verb):
+def test_a_disk_that_is_full_leaves_no_half_file(tmp_path):
     """A limit on the size of files stands in for the full disk."""
     path = write_scene(tmp_path)
-    words = [str(word) for word in words_for(verb, path, tmp_path)]
+    words = [[str(word) for word in words_for(verb, path, tmp_path)] for verb in SCENE_VERBS]
     program = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (700, 700)); sys.modules['matplotlib'] = None;"
-        f"from blender_lidar.cli import main; sys.exit(main({words!r}))"
+        f"from blender_lidar.cli import main; print([main(verb) for verb in {words!r}])"
     )
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, check=False)
-    assert (done.returncode, len(done.stderr.splitlines())) == (1, 1)
-    assert "cannot be written: File too large" in done.stderr
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, check=True)
+    assert done.stdout.splitlines()[-1] == "[1, 1, 1]"
+    assert [line.partition("cannot be written: ")[2] for line in done.stderr.splitlines()] == 3 * ["File too large"]
     assert files(tmp_path) == {path, tmp_path / "traffic.csv"}
