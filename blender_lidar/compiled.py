@@ -70,7 +70,7 @@ def _warn_once() -> None:
     if multiprocessing.parent_process() is None:
         text = (
             f"compiled code cannot be kept in {Path(__file__).parent} nor in the user's folder for caches, and is "
-            "compiled again at every start, for half a minute; NUMBA_CACHE_DIR may name another folder"
+            "compiled again at every start, for half a minute; set NUMBA_CACHE_DIR to another folder"
         )
         warnings.warn(text, stacklevel=2)
 

@@ -100,7 +100,7 @@ def check_folder(path: Path, option: str) -> None:
 
 
 def check_unused(folder: Path, option: str, by: str, ours: Callable[[Path], object] = lambda path: False) -> None:
-    """Refuse early a folder that holds foreign files, but for hidden ones and what is `ours`.
+    """Refuse early a folder that holds foreign files, except for hidden ones and what is `ours`.
 
     `option` says what gave it, `by` who would have written what may be there: ``"run"``.
 

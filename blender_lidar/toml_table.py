@@ -110,7 +110,7 @@ def _attributes(declared: type) -> dict[str, str]:
     phrases = {}
     for names, text in entries:
         phrase = " ".join(text.split()).removesuffix(".")
-        first = phrase[0].lower() if re.match(r"[A-Z][a-z]*\b", phrase) else phrase[0]  # but for names such as NGSIM
+        first = phrase[0].lower() if re.match(r"[A-Z][a-z]*\b", phrase) else phrase[0]  # except for names such as NGSIM
         phrases |= dict.fromkeys(names.split(", "), first + phrase[1:])
     return phrases
 

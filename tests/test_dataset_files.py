@@ -420,13 +420,13 @@ def test_detections_and_detectors_that_do_not_fit_are_refused(made, tables, tmp_
     (tmp_path / "own.csv").write_text((made / "boxes" / "000000.csv").read_text())
     assert "own.csv:1: no column confidence" in message("--detector", tmp_path / "own.csv")
     assert "learns the empty scene from clouds of one mounting" in message("--detector", "classical")
-    assert "--height: is of a scene, and" in message("--height", 4)
+    assert "--height: is an option for scenes, but" in message("--height", 4)
     assert "no such file" in message("--detector", "pillar")
     assert "000001.npz: there is no such file" in message(of=tables)
     edited(tables / "dataset.json", '"npz",', "")
     assert "has no NPZ clouds but kitti, nuscenes; allowed" in message(of=tables)
     line = refused(capsys, tmp_path, "detect", made / "npz", "--detector", own, "--out", tmp_path / "judged")
-    assert "a file is judged by detect SCENE --detector FILE" in line
+    assert "to judge a file of detections give detect SCENE or DATASET --detector FILE" in line
 
 
 # --- What is refused --------------------------------------------------------------------------------------------------

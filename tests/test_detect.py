@@ -218,7 +218,7 @@ def test_a_cloud_that_is_none_is_refused_in_a_line(damage, scene, tmp_path, caps
         path.write_bytes(path.read_bytes()[:500])
     else:
         np.savez(path, **content)
-    with pytest.raises(InputError, match=r"cloud.npz: is no NPZ cloud of scan: .+"):
+    with pytest.raises(InputError, match=r"cloud.npz: is not an NPZ cloud of scan: .+"):
         read_cloud(path)
 
 
@@ -256,7 +256,7 @@ def test_wrong_words_are_refused(scene, tmp_path, capsys):
     line = refused(capsys, tmp_path, "detect", scene, "--detector", tmp_path / "label_2", *out)
     assert "lacks 8 of the 8 judging frames" in line
     words = "--height", 9, *out
-    assert "--height: is of a scene" in refused(capsys, tmp_path, "detect", tmp_path / "empty", *words)
+    assert "--height: is an option for scenes" in refused(capsys, tmp_path, "detect", tmp_path / "empty", *words)
     (tmp_path / "file").touch()
     line = refused(capsys, tmp_path, "detect", scene, "--out", tmp_path / "file")
     assert "file" in line

@@ -326,7 +326,7 @@ def test_a_file_of_types_that_cannot_be_used(tmp_path, text, reason):
 def test_a_file_of_types_for_a_recording_without_types(tmp_path, rows):
     path = write_types(tmp_path)
     assert refused(of_rows(tmp_path, *rows), vehicle_types=path).replace(str(path), "TYPES") == (
-        "FILE: vehicle_types TYPES: vehicles have no type, by which it could say the size; SUMO writes types unless "
+        "FILE: vehicle_types TYPES: vehicles have no type, so it cannot give their sizes; SUMO writes types unless "
         "--fcd-output.attributes leaves them out: name type there, or do without vehicle_types"
     )
 

@@ -135,7 +135,7 @@ class Dying:
 def test_a_worker_that_dies_while_it_starts_is_an_error_and_no_hang():
     work = Workers(partial(len, Dying()), 2)
     try:
-        with pytest.raises(WorkerError, match="a worker process ended abruptly, perhaps for want of memory"):
+        with pytest.raises(WorkerError, match="a worker process ended abruptly, perhaps because memory ran out"):
             work.await_ready()
     finally:
         work.close()

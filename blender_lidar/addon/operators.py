@@ -311,8 +311,8 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
         show_cloud(lidar, vertices_of(look.cloud, vehicles, bits), lidar.lidar.colour_by)
         session.store(lidar, vehicles, look, ready.look(scenario.baseline.pose, objects))
         group = lidar.lidar
-        told_of = "" if look.scored is None else f", objective {group.objective:.2f}"
-        self.report({"INFO"}, f"{lidar.name}: {group.points:,} points on frame {vehicles.frame}{told_of}")
+        scored = "" if look.scored is None else f", objective {group.objective:.2f}"
+        self.report({"INFO"}, f"{lidar.name}: {group.points:,} points on frame {vehicles.frame}{scored}")
         return {"FINISHED"}
 
 

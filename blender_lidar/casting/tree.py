@@ -13,7 +13,7 @@ boxes and of triangles do not agree with each other. Here nothing is left to tha
   high as the margin is wide: what slips past a triangle seen edge-on meets its fence, and is decided in float64 too;
 - a ray that starts so near a surface that float32 cannot tell on which side is left to the float64 caster.
 
-So all casters find the same hits and ranges, and differ in speed alone; but for what is left to closed meshes, whose
+So all casters find the same hits and ranges, and differ in speed alone; except for what is left to closed meshes, whose
 triangles have no fences because these double the time of a cast. A ray within 1e-7 rad of an outline that is so rounded
 that the sides about it are all seen edge-on may miss it, and one that leaks between two triangles of a flat side seen
 edge-on may meet another solid that stands within the first. Of 1.7 million rays aimed at such places bvh lost 2 and

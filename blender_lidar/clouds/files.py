@@ -53,7 +53,7 @@ def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
                 names, header = archive["class"].tolist(), json.loads(str(archive["header"]))
             _check_cloud(columns, names, header)
         except (*_DAMAGED, TypeError, LookupError, ValueError) as error:
-            raise InputError(f"{path}: is no NPZ cloud of scan: {one_line(str(error))}") from error
+            raise InputError(f"{path}: is not an NPZ cloud of scan: {one_line(str(error))}") from error
     known = dict(zip([*CLASSES, ""], [*range(len(CLASSES)), NO_CLASS], strict=True))
     return PointCloud(**columns, class_index=np.array([known.get(name, NO_CLASS) for name in names], np.int8)), header
 

@@ -192,8 +192,8 @@ def _run_clouds(args: argparse.Namespace, place: Path) -> int:
     """Detect in the NPZ clouds of a folder, as ``scan --frame-ids`` writes them; returns the exit code."""
     check_detector(args.detector)
     if not is_ours(args.detector):
-        text = f"clouds are looked at by {' or '.join(DETECTORS)}; a file is judged by detect SCENE --detector FILE"
-        raise InputError(f"--detector: {args.detector}: {text}, or by detect DATASET --detector FILE")
+        text = f"allowed with a folder of clouds: {' or '.join(DETECTORS)}; to judge a file of detections give"
+        raise InputError(f"--detector: {args.detector}: {text} detect SCENE or DATASET --detector FILE")
     _refuse_options(args, "a folder of clouds")
     folder = _folder(args, lambda: new_folder("detections"))
     with ExitStack() as stack:
@@ -210,7 +210,7 @@ def _refuse_options(args: argparse.Namespace, what: str, taken: Sequence[str] = 
     """Refuse options of scenes where a folder is given."""
     for name, value in vars(args).items():
         if name not in (*_OF_FOLDERS, *taken) and value not in (None, False):
-            raise InputError(f"--{name.replace('_', '-')}: is of a scene, and {args.scene} is {what}")
+            raise InputError(f"--{name.replace('_', '-')}: is an option for scenes, but {args.scene} is {what}")
 
 
 def _workers(args: argparse.Namespace) -> int:

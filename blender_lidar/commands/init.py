@@ -134,14 +134,14 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         "",
         *_road_lines(layout, kind),
         "",
-        "# Where vehicles count, the same for every mounting: all lanes from x to x. Instead of it a circle,",
+        "# Where vehicles count, the same for every mounting: all lanes from one x to another. Or a circle,",
         "# centre_m = [0.0, 0.0] with radius_m = 50.0, or an outline, polygon_m = [[x, y], [x, y], [x, y]].",
         "[region]",
         f"stretches = [{{ x_m = [{low}.0, {high}.0] }}]",
         "",
         "[sensor]",
         'name = "RS-16"  # `blender-lidar sensors` lists the others',
-        f"range_gate_m = {gate}  # how far it is asked to see: the region's farthest corner is {corner:.0f} m away",
+        f"range_gate_m = {gate}  # so far it should see vehicles; the region's farthest corner is {corner:.0f} m away",
         "",
         "# A number fixes a coordinate, a pair [low, high] has it searched.",
         "[deployment]",
@@ -202,7 +202,7 @@ def _road_lines(layout: RoadLayout, kind: str) -> list[str]:
         *lines,
         f"setback_m = {road.setback_m}  # from the pole to the edge of the road: {why}",
         f"lanes = {road.lanes}  # centres measured at y {centres} m{numbers}; add those that nobody used",
-        f"lane_width_m = {road.lane_width_m}  # {apart or 'usual; one lane tells none'}",
+        f"lane_width_m = {road.lane_width_m}  # {apart or 'usual; it cannot be measured from one lane'}",
     ]
 
 

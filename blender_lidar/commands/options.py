@@ -110,7 +110,7 @@ def _numbers_read(given, kind):
 
 
 def add_scene(parser: argparse.ArgumentParser, *, leave_out: tuple[str, ...] = ()) -> None:
-    """The scene file, and the options that replace its settings but for those left out."""
+    """The scene file, and the options that replace its settings except for those left out."""
     meant = "scene file, or the name of a shipped scene: i80; options replace what the file says"
     parser.add_argument("scene", metavar="SCENE.toml", help=meant)
     for title, tables in _GROUPS.items():

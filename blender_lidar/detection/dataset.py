@@ -85,7 +85,7 @@ class DatasetPlan:
     ----------
     scenario : Scenario
     observation : Observation
-        Sensor, range gate, caster and detail; what stands still, but for clutter, which each scan draws.
+        Sensor, range gate, caster and detail; what stands still, except for clutter, which each scan draws.
     region : Region
         Where vehicles count.
     reach_m : float

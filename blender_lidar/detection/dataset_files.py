@@ -50,7 +50,7 @@ _DECIMALS = {
 
 
 def file_name(number: int) -> str:
-    """What the files of a scan are called, but for their suffix."""
+    """What the files of a scan are called, except for their suffix."""
     return f"{number:06d}"
 
 

@@ -203,7 +203,7 @@ def _look(
     return *detector.detect(cloud), int(returned.sum())
 
 
-_NO_GROUND = "the scene has no ground, by which detectors level each cloud: they find less, and less exactly"
+_NO_GROUND = "the scene has no ground, which detectors need to level each cloud: they find fewer vehicles, less exactly"
 
 
 def judge_detector(

@@ -250,7 +250,7 @@ def is_dataset(folder: Path) -> bool:
 
 
 def read_dataset(folder: Path) -> StoredDataset:
-    """A data set, but for its boxes and clouds.
+    """A data set, except for its boxes and clouds.
 
     Raises
     ------
@@ -339,7 +339,7 @@ def _gathered(notes: Sequence[Sequence[str]]) -> list[str]:
     alike: dict[str, list[str]] = {}
     for note in chain(*notes):
         alike.setdefault(re.sub(r"[0-9.]+", "", note), []).append(note)
-    return [f"{some[0]} (so or alike at {len(some)} of {len(notes)} mountings)" for some in alike.values()]
+    return [f"{some[0]} (the same or similar at {len(some)} of {len(notes)} mountings)" for some in alike.values()]
 
 
 def dataset_result(stored: StoredDataset, name: str, judged: JudgedDetector) -> dict[str, object]:

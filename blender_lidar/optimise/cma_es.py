@@ -6,7 +6,7 @@ worse half. Positions are shares of the box, 0 to 1 in every variable; only the 
 Mountings are often best on a bound. A sample beyond one is evaluated on it, and its value counts where it was drawn: as
 if the objective went on unchanged outside. The mean may leave the box by two standard deviations of the Gaussian it
 moves from, so that where a bound is best nearly all samples come to lie on it, and that variable no longer says
-anything about step size and shape; in a corner samples become one point, and the climb ends for want of a better one.
+anything about step size and shape; in a corner samples become one point, and the climb ends, as none is better.
 Drawn again until they are inside, samples keep off the bounds; if values count where they were evaluated, they have a
 climb along a bound end too early.
 """

@@ -156,7 +156,7 @@ def make_search(
     periodic : sequence of bool, (d,), optional
         Which variables are circles, their bounds one and the same place. A plug-in does not know: to it they are ends.
     **settings
-        The method's own: `particles` of the hardened search, fields of `DePsoSettings` but for the budget.
+        The method's own: `particles` of the hardened search, fields of `DePsoSettings` except for the budget.
 
     Raises
     ------

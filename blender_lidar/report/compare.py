@@ -74,7 +74,7 @@ def _intervals(result: Mapping) -> str:
         )
     if result["vehicles"] < FEWEST_BLOCKS:
         return f"With fewer than {FEWEST_BLOCKS} vehicles there is no interval."
-    return "Intervals resample single vehicles: what all of them share, such as weather and mounting, is not in them."
+    return "Intervals resample single vehicles: they leave out what all vehicles share, such as weather and mounting."
 
 
 def draw_comparison(path: Path, table: Mapping[str, np.ndarray], result: Mapping) -> None:

@@ -92,7 +92,7 @@ def image(path: Path, alt: str) -> Markup:
 
 
 def sheet_markup(text: str) -> list[Markup]:
-    """What installation.txt says, as it stands, but for its headings.
+    """What installation.txt says, as it stands, except for its headings.
 
     A heading is a line that is no item of a list, ``- text``, no ``Label    text`` and not indented.
     """

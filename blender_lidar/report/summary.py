@@ -69,7 +69,7 @@ def direction_text(mount: Mapping[str, float]) -> str:
 
 
 def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
-    """A mounting in words that a sentence can hold, without the coordinates that are nought.
+    """A mounting in words that a sentence can hold, without the coordinates that are 0.
 
     `leans` says whether its orientation is given as a lean, which a mounting of result.json has besides its tilts.
     """

@@ -142,7 +142,7 @@ def jumps(recording: Recording, tracks: Tracks) -> str | None:
 
 
 def _next(tracks: Tracks) -> np.ndarray:
-    """Which steps, but for the first, follow one of the same vehicle."""
+    """Which steps, except for the first, follow one of the same vehicle."""
     return np.diff(tracks.vehicle[tracks.steps.row]) == 0
 
 

@@ -71,7 +71,7 @@ class Placed:
 
 
 def carriageway(recording: Recording, scenario: Scenario, placed: Placed, heading_known: bool) -> str | None:
-    """Vehicles that drive obliquely to the road, or next to none of the region on its carriageway."""
+    """Vehicles that drive obliquely to the road, or almost none of the region on its carriageway."""
     inside, stretches = placed.inside, scenario.region.stretches
     heading = placed.heading_rad[inside]
     oblique = (np.abs(np.sin(heading)) <= math.sin(usual.ALONG_RAD)).mean() < usual.FEW if heading.size else False

@@ -103,7 +103,7 @@ def _by(sizes) -> str:
 
 
 def _heights_alike(sample: Recording) -> str | None:
-    """Trucks and buses as large as cars, or long and no higher: one size or height for all, for want of any."""
+    """Trucks and buses as large as cars, or long and no higher: one size or height for all, as none was known."""
     large = np.isin(sample.class_index, [CLASSES.index("truck"), CLASSES.index("bus")])
     cars = sample.size_m[sample.class_index == CLASSES.index("car")]
     other = sample.size_m[large]

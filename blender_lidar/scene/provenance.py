@@ -105,7 +105,7 @@ def unchanged_inputs(scenario: Scenario) -> Iterator[None]:
 
 
 def _input_files(scenario: Scenario) -> dict[tuple[str, str], str]:
-    """The files that a scene names, but for scenery, by table and key."""
+    """The files that a scene names, except for scenery, by table and key."""
     return {place: path for place, path in scenario.files.items() if place[0] != "world"}
 
 

@@ -123,7 +123,7 @@ class TrafficSettings:
 
 @dataclass(frozen=True, slots=True)
 class SensorSettings:
-    """[sensor]: the model, its rate, the range within which it is asked to see, and how imperfect it is.
+    """[sensor]: the model, its rate, its range gate, and how imperfect it is.
 
     None stands for the model's own value, or for none, where the scene says nothing.
 

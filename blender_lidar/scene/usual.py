@@ -14,7 +14,7 @@ FEWEST = 20  # boxes or moves: of fewer a share is known to no better than a fif
 FEWEST_TOGETHER = 5  # vehicles: what so many do at one time is no accident of one
 SAMPLE, TRACK_ROWS = 20_000, 100_000  # boxes, and rows of whole tracks, that are looked at: a second at most
 FEW, SOME, MANY = 0.02, 0.05, 0.2  # shares: measurement errors; what is worth a note; what is worth a stop
-MINORITY, HALF, MOST, ALL = 0.4, 0.5, 0.8, 0.95  # under a half; a half; what a guess must set right; but for errors
+MINORITY, HALF, MOST, ALL = 0.4, 0.5, 0.8, 0.95  # under a half; a half; what a guess must set right; except for errors
 
 # --- Sizes [m]: least and largest length, width and height, from mopeds to road trains, with room for measurement
 SIZES_M = {

@@ -154,7 +154,7 @@ class ClusterWorkers:
         if isinstance(error, ImportError):
             raise WorkerError(f"{self.address}: a worker cannot do its task: {error}") from error
         if isinstance(error, self._distributed.KilledWorker):
-            text = "workers died one after another over the same mountings, perhaps for want of memory"
+            text = "workers died one after another over the same mountings, perhaps because memory ran out"
             raise WorkerError(f"{self.address}: {text}") from error
         raise error
 

@@ -35,7 +35,7 @@ from ..signals import stops_deferred
 
 _AT_HAND = 2  # calls that each of the others is given at a time: what it makes, and the next
 _FEWEST_CALLS = 4  # for each process: one that starts late, or is slower, finds or leaves enough for the others
-_LEAST_WORK = 64  # casts of a frame: less is not divided, also in favour of _FEWEST_CALLS, but for a small last call
+_LEAST_WORK = 64  # casts of a frame: less is not divided, also in favour of _FEWEST_CALLS, except for a small last call
 _STOP_ON_ITS_WAY_S = 0.5
 _FUNCTION = "function.pickle"  # a file of the folder that the others read when they start
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -194,7 +194,7 @@ def _failures_in_one_line() -> Iterator[None]:
         yield
     except BrokenProcessPool as error:
         time.sleep(_STOP_ON_ITS_WAY_S)  # a SIGTERM to all of us may have reached a worker first; ours ends this here
-        raise WorkerError("a worker process ended abruptly, perhaps for want of memory; try --workers 1") from error
+        raise WorkerError("a worker process ended abruptly, perhaps because memory ran out; try --workers 1") from error
 
 
 @contextmanager

@@ -135,7 +135,7 @@ class Rings:
     ring : ndarray of int64, (n,)
         Ring of each point.
     elevation_rad : ndarray, (r,)
-        Angle of each ring above the horizontal, seen from its own laser [rad]; rising, but for rings of few returns.
+        Angle of each ring above the horizontal, seen from its own laser [rad]; rising, except for rings of few returns.
     height_m : ndarray, (r,)
         Where the ring's rays cross the sensor's axis, above the origin [m].
     lateral_m : ndarray, (r,)

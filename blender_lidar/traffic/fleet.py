@@ -27,7 +27,7 @@ class Body:
     share : float
         How many have it, among those whose length allows it.
     height_m : (float, float)
-        The 5 and 95 % points of their heights, between which these are drawn uniform but for what goes with length.
+        The 5 and 95 % points of their heights, between which these are drawn uniform except for what goes with length.
     length_m : (float, float)
         How long they are [m].
     with_length : float

@@ -129,7 +129,7 @@ def plan_frames(
     Raises
     ------
     InputError
-        For a frame that the recording does not have, or a spacing or block of next to no time.
+        For a frame that the recording does not have, or a spacing or block that is too short.
     """
     ids = None if ids is None else _known_frames(recording, ids)
     for name, value in (("the spacing of frames", spacing_s), ("the length of a block", block_s)):

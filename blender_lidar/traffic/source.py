@@ -66,7 +66,7 @@ _NAMES_SEPARATOR = re.compile(r'"?sep=.?"?[;,\t|]*\s*', re.IGNORECASE)  # a firs
 def _beginning(path: str | Path) -> tuple[str, str]:
     """The first lines of a file as one text, and the encoding that spreadsheets or others wrote it in.
 
-    By its byte order mark UTF-8 or UTF-16; without one UTF-8, UTF-16 if every other byte is nought, or Windows-1252.
+    By its byte order mark UTF-8 or UTF-16; without one UTF-8, UTF-16 if every other byte is 0, or Windows-1252.
     """
     with open_bytes(path) as stream:
         head = stream.read(_HEAD_BYTES)

@@ -461,7 +461,7 @@ def _types(
         return [kind or DEFAULT_TYPES["passenger"] for kind in found], [note]
     if "" in unknown:
         raise InputError(
-            f"{where}: vehicles have no type, by which it could say the size; SUMO writes types unless "
+            f"{where}: vehicles have no type, so it cannot give their sizes; SUMO writes types unless "
             "--fcd-output.attributes leaves them out: name type there, or do without vehicle_types"
         )
     if unknown:

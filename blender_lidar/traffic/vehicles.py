@@ -43,7 +43,7 @@ class RepairReport:
     overlaps, overlap_frames : int
         Pairs of overlapping boxes, and the number of frames looked at.
     notes : tuple of str
-        Choices made for want of a setting, as sentences.
+        Choices made where a setting was missing, as sentences.
     warnings : tuple of (str, str)
         What cannot be true and was accepted: its name, and what was seen.
     """

@@ -2,7 +2,7 @@
 
     python scripts/research/caster_attacks.py [--quick] [--seed 1]
 
-Stable: every caster meets what the oracle meets, but for knife edges; fragile: at wrong distances; fails: a caster
+Stable: every caster meets what the oracle meets, except for knife edges; fragile: at wrong distances; fails: a caster
 misses without a word what the oracle meets, or meets what is not there. Exit code 1 where any fails.
 """
 

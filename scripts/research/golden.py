@@ -32,7 +32,7 @@ QUARTILES = {f"milliseconds_{name}" for name in ("first_quartile", "median", "th
 TIMES = {"seconds", "milliseconds", *QUARTILES, "build_milliseconds_per_frame", "speedup"}
 CHOSEN_BY_TIME = {"pareto", "recommended", "sentence", "validated"}
 IGNORED = TIMES | CHOSEN_BY_TIME | {"versions", "identity"}
-PROSE = {"text", "notes"}  # may be reworded, but for the numbers in it
+PROSE = {"text", "notes"}  # may be reworded, except for the numbers in it
 
 
 def differences(kept: object, found: object, where: str = "", within: float = 1e-9) -> list[str]:

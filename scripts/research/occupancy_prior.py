@@ -68,7 +68,7 @@ class OccupiedFrames:
         """Sum over chosen voxels of -ln of the probability of their state in each frame [nats], (f,).
 
         -ln p of a voxel that the frame occupies and -ln(1 - p) of another; 0 where p is 0 or 1. The mean over the
-        frames with the weights that the prior was learned with is the sum of H(p) over them, but for rounding:
+        frames with the weights that the prior was learned with is the sum of H(p) over them, except for rounding:
         entropy is expected surprisal.
 
         Parameters

@@ -120,9 +120,9 @@ def traverse(
     """Voxel traversal: the voxels that beams from one place cross, step after step, in the order they cross them.
 
     Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing", Eurographics 1987: a beam goes on through
-    the nearest of the next planes across x, y and z. Exact but for rounding: a voxel that a beam merely touches, on a
-    face, an edge or a corner, may count as crossed or not. Beams go through everything: what a vehicle hides is not
-    known here.
+    the nearest of the next planes across x, y and z. Exact except for rounding: a voxel that a beam merely touches,
+    on a face, an edge or a corner, may count as crossed or not. Beams go through everything: what a vehicle hides is
+    not known here.
 
     Parameters
     ----------

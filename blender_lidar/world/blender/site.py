@@ -144,7 +144,7 @@ def visible_instances(
 
 
 def _rendered_objects(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
-    """The objects in a collection and those below it, but for collections that renders hide."""
+    """The objects in a collection and those below it, except for collections that renders hide."""
     if not collection.hide_render:
         yield from collection.objects
         for child in collection.children:
