@@ -179,4 +179,5 @@ def test_no_kernel_is_compiled_again_by_a_second_process_a_worker_or_within_blen
     for _ in range(2):  # the first leaves what has not been kept before
         done = subprocess.run(run, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
-    assert done.stdout == "['always']\n" * 2
+    said = [line for line in done.stdout.splitlines() if line.startswith("[")]  # Blender 5.1 adds lines of its own
+    assert said == ["['always']"] * 2

@@ -25,9 +25,13 @@ MOUNT = ("--height", 4.5, "--tilt-x", 15)
 CLASSICAL = ("--detector", "classical")
 
 
+def needs_scikit_learn():
+    pytest.importorskip("sklearn", reason="scikit-learn, of the extra detect, is not installed")
+
+
 @pytest.fixture
 def scene(tmp_path):
-    pytest.importorskip("sklearn", reason="scikit-learn, of the extra detect, is not installed")
+    needs_scikit_learn()
     return write_scene(tmp_path, REGION)
 
 
@@ -162,6 +166,7 @@ def test_clouds_of_a_scan_give_boxes(scene, tmp_path, capsys):
     ids=["more columns", "fewer columns", "another rate", "another unit"],
 )
 def test_each_point_of_a_stored_cloud_is_on_its_own_beam(sensor, tmp_path, capsys):
+    needs_scikit_learn()
     scene = write_scene(tmp_path, REGION | {"sensor": sensor})
     done(capsys, "scan", scene, "--frame", 5, *MOUNT, "--out", tmp_path / "cloud.npz")
     clouds = StoredClouds.of(tmp_path / "cloud.npz")

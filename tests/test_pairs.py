@@ -300,6 +300,7 @@ def test_detections_are_judged_from_their_files_as_they_were_found(ran, tmp_path
 
 
 def test_studies_start_from_the_scores_of_evaluate_or_say_what_they_are_about(ran, tmp_path, capsys, monkeypatch):
+    pytest.importorskip("scipy", reason="studies need SciPy")
     monkeypatch.setattr("blender_lidar.commands.studies.QUICK_CHART", TINY_CHART)
     monkeypatch.setattr("blender_lidar.commands.studies.QUICK_STABILITY", TINY_STABILITY)
     words = {"chart": ("--quick",), "stability": ("--quick", *ran.mounting)}
