@@ -103,7 +103,7 @@ def write_detected(path: str | Path, of_frame: Mapping[int, DetectedBoxes]) -> N
         "confidence": boxes.confidence,
     }
     digits = {name: 3 for name in columns if name.endswith("_m")}
-    write_columns(path, columns, {**digits, "heading_deg": 2, "confidence": 4})
+    write_columns(path, columns, {**digits, "heading_deg": 2, "confidence": 6})
 
 
 def _read_csv(path: Path) -> dict[int, DetectedBoxes]:
@@ -165,7 +165,7 @@ def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes]
     make_folder(Path(folder), "--out")
     for number, boxes in of_frame.items():
         heads = [f"{_KITTI_NAMES[kind]} -1 -1 -10" for kind in boxes.kind]
-        scores = [f" {confidence:.4f}" for confidence in boxes.confidence]
+        scores = [f" {confidence:.6f}" for confidence in boxes.confidence]
         text = kitti_labels(heads, boxes, _pose(poses, number, folder), scores)
         write_text(Path(folder) / f"{number:06d}.txt", text)
 
