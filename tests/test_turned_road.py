@@ -10,6 +10,7 @@ import pytest
 from blender_lidar.detection.dataset import plan_dataset, sample
 from blender_lidar.detection.judge import watched
 from blender_lidar.errors import InputError
+from blender_lidar.report.installation import _bearing
 from blender_lidar.road.straight import road_map
 from blender_lidar.scene import deployment, places, scenario
 from blender_lidar.scene.mount_checks import check_mount_is_clear
@@ -112,3 +113,12 @@ def test_a_lidar_in_a_barrier_is_refused(sites):
         inside = site.scenario.mounting({"x_m": x_m, "y_m": y_m, "height_m": 0.5})
         with pytest.raises(InputError, match="hangs inside 'guard_rail"):
             check_mount_is_clear(site.scenario, [], {"here": inside})
+
+
+def test_an_installer_reads_which_way_the_mast_faces_from_the_road(sites):
+    said = []
+    for site in sites:
+        (mounting,) = site.scenario.deployment.spaces[0].layout([4.0])
+        ahead = site.scenario.road_map.direction(mounting.xy)
+        said.append([_bearing(axis, ahead, "travel") for axis in (mounting.mast.axes[1], mounting.mast.axes[0])])
+    assert said == [["+y, left of travel", "ahead, in travel"], ["-x, left of travel", "ahead, in travel"]]

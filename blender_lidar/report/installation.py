@@ -6,6 +6,7 @@ import math
 import textwrap
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 
@@ -28,6 +29,7 @@ def installation_text(site: Site, result: Mapping) -> str:
     falls = [f"{-math.degrees(math.asin(axis[2])) + 0.0:.1f} deg" for axis in (ahead, right)]
     road, standing = site.scenario.road, site.observation.scenery
     travel = "the direction of travel" + (f" on the {road.drives_on} carriageway" if road.carriageways == 2 else "")
+    bearing = partial(_bearing, ahead_rad=site.scenario.road_map.direction(mounting.xy), travel=travel)
     modelled = standing is not None and len(standing.scenery.beside_road) > 0
     columns = f", {site.model.columns()} columns a turn" if site.model.columns_a_turn else ""
     lines = [
@@ -39,15 +41,15 @@ def installation_text(site: Site, result: Mapping) -> str:
         *_slopes(site),
         f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it:",
         f"             {_beside(site, mounting)}",
-        f"Mast         faces {_bearing(plumb.mast.axes[1], travel)}",
-        f"Lean         {_lean(up, travel)}",
+        f"Mast         faces {bearing(plumb.mast.axes[1])}",
+        f"Lean         {_lean(up, bearing)}",
         f"             (before yaw: {mount['tilt_x_deg']:.1f} deg down to where the mast faces, "
         f"{mount['tilt_y_deg']:.1f} deg up to the right of it)",
         f"Yaw          {mount['yaw_deg']:.1f} deg counter-clockwise seen from above; at 0 the sensor's zero azimuth",
         "             points where the mast faces",
-        f"Cable        zero azimuth faces {_bearing(ahead, travel)};",
+        f"Cable        zero azimuth faces {bearing(ahead)};",
         "             a cable outlet opposite it, as most spinning sensors have (see the drawing), faces",
-        f"             {_bearing(-ahead, travel)}",
+        f"             {bearing(-ahead)}",
         f"Planned for  vehicles {region_text(asdict(site.scenario.region))}, in the frame of the position above",
         "",
         "Check on site",
@@ -110,19 +112,21 @@ def _beside(site, mounting):
     return f"{where}{away:.2f} m from the edge of the nearest lane, to the {side} of its traffic"
 
 
-def _lean(axis, travel):
+def _lean(axis, bearing):
     """How far and which way the sensor's upright axis (3,) leans: beams on that side look down."""
     angle = math.degrees(math.acos(min(axis[2], 1.0)))
     if angle < _UPRIGHT_DEG:
         return "none: the sensor stands upright"
-    return f"{angle:.1f} deg forward and down towards {_bearing(axis, travel)}"
+    return f"{angle:.1f} deg forward and down towards {bearing(axis)}"
 
 
-def _bearing(axis, travel):
-    """Where an axis (3,) points, seen from above, for people on the road, whose x is the direction of `travel`."""
-    bearing = math.degrees(math.atan2(axis[1], axis[0]))
-    names = {0: f"ahead, in {travel}", 90: f"+y, left of {travel}"}
-    names |= {180: f"back, against {travel}", -90: f"-y, right of {travel}"}
+def _bearing(axis, ahead_rad, travel):
+    """Where an axis (3,) points, seen from above, for people on a road that goes ahead in the direction of `travel`."""
+    left = ("+y", "-x", "-y", "+x")  # of the site frame, by the quarter turns of the road in it
+    quarter = round(ahead_rad / (0.5 * math.pi))
+    bearing = math.degrees(math.atan2(axis[1], axis[0]) - ahead_rad)
+    names = {0: f"ahead, in {travel}", 90: f"{left[quarter % 4]}, left of {travel}"}
+    names |= {180: f"back, against {travel}", -90: f"{left[(quarter + 2) % 4]}, right of {travel}"}
     nearest = min(names, key=lambda name: abs(math.remainder(bearing - name, 360.0)))
     off = math.remainder(bearing - nearest, 360.0)
     turned = "" if abs(off) < 0.5 else f", {abs(off):.0f} deg {'counter-' if off > 0 else ''}clockwise of it"

@@ -177,11 +177,15 @@ class RoadMap:
 
     def clearance(self, xy: Sequence[float]) -> tuple[float, str]:
         """How far a place lies from the nearest edge of a lane [m], below 0 on it, and on which side of its traffic."""
-        on = int(self.locate(np.array([xy])).lane[0])
-        off = np.array([self._along(lane, xy)[1] for lane in range(len(self))]) - self.offset_m
-        nearest = int(np.argmin(np.abs(off) - 0.5 * self.width_m)) if on < 0 else on
-        left = (off[nearest] > 0.0) != bool(self.against[nearest])
-        return float(abs(off[nearest]) - 0.5 * self.width_m[nearest]), "left" if left else "right"
+        nearest = self._nearest_lane(xy)
+        off = self._along(nearest, xy)[1] - self.offset_m[nearest]
+        left = (off > 0.0) != bool(self.against[nearest])
+        return float(abs(off) - 0.5 * self.width_m[nearest]), "left" if left else "right"
+
+    def direction(self, xy: Sequence[float]) -> float:
+        """Which way the stations of the nearest lane rise at a place, counter-clockwise from +x [rad]."""
+        lane = self._nearest_lane(xy)
+        return self._along(lane, xy)[2] + math.pi * self.against[lane]
 
     def edges_across(self, xy: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
         """The edges of the road across from a place on a lane, to the right and to the left of it, (2,) each [m]."""
@@ -229,6 +233,12 @@ class RoadMap:
                 elif side > 0.0:  # one of both lanes draws it
                     dashes.append(beside)
         return edges, dashes
+
+    def _nearest_lane(self, xy: Sequence[float]) -> int:
+        """The lane that holds a place, or else has the nearest edge."""
+        on = int(self.locate(np.array([xy])).lane[0])
+        off = np.array([self._along(lane, xy)[1] for lane in range(len(self))]) - self.offset_m
+        return int(np.argmin(np.abs(off) - 0.5 * self.width_m)) if on < 0 else on
 
     def _along(self, lane: int, xy: Sequence[float]) -> tuple[float, float, float]:
         """Station and offset of a place along one lane [m], on it or not, and which way the lane drives there [rad]."""
