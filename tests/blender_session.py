@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from blender_lidar.casting import caster_class
-from blender_lidar.clouds.scan import scan
 from blender_lidar.clouds.snapshot import vertices_of
 from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.scenery import barrier, box, join
-from tests.sample_traffic import dense_traffic
+from tests.sample_traffic import dense_traffic, scan
 
 LATTICE = beam_lattice(load_model("RS-16"), stride=8)
 POSE = Pose(0.5, -0.5, 4.2, 0.35, -0.05, 0.3)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from blender_lidar.casting import is_available
-from blender_lidar.clouds.scan import scan
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.vehicles import CLASSES, Vehicles
+from tests.sample_traffic import scan
 
 KITTI = Path(__file__).parents[1].parent / "shared" / "data" / "kitti"
 needs_kitti = pytest.mark.skipif(not KITTI.is_dir(), reason=f"no KITTI excerpt at {KITTI}")

@@ -6,7 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from blender_lidar.scene.observation import CountedFrame
+from blender_lidar.clouds import scan as clouds
+from blender_lidar.scene.observation import CountedFrame, Observation
+from blender_lidar.sensors.imperfections import PERFECT
+from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.traffic.vehicles import CLASSES, Vehicles
 
 SIZES = np.array([[4.4, 1.85, 1.5], [5.2, 2.0, 1.9], [12.7, 2.5, 3.8], [12.0, 2.5, 3.2], [2.1, 0.8, 1.4]])
@@ -63,3 +66,22 @@ def one_vehicle(name: str, centre=(0.0, 10.0), heading: float = 0.0, size=None) 
         heading_rad=np.array([heading]),
         lane=np.array([1], dtype=np.int16),
     )
+
+
+def scan(
+    vehicles,
+    lattice,
+    pose,
+    *,
+    caster,
+    detail="body",
+    min_range_m=0.0,
+    max_range_m,
+    ground=True,
+    scenery=None,
+    imperfections=PERFECT,
+):
+    """The cloud of one revolution, without a scene."""
+    lidar = Lidar(lattice, max_range_m, min_range_m, imperfections)
+    seen = Observation((lidar,), caster, detail, cell_m=np.nan, scenery=scenery)
+    return clouds.scan(vehicles, seen, pose, ground=ground)

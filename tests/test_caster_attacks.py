@@ -30,7 +30,6 @@ from blender_lidar.casting import CASTERS, caster_class, is_available
 from blender_lidar.casting.exact import ExactCaster
 from blender_lidar.casting.protocol import StandingScenery
 from blender_lidar.casting.tree import fences, grown
-from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
@@ -41,7 +40,7 @@ from blender_lidar.sensors.pose import Pose, rotation_matrix
 from blender_lidar.world.scenery import box, join
 from caster_attacks import TOLERANCE_M, AttackCount, count_attack, differences, main, verdict
 from tests.rational_oracle import first_distances
-from tests.sample_traffic import dense_traffic, joined, one_vehicle
+from tests.sample_traffic import dense_traffic, joined, one_vehicle, scan
 
 MISSING = {name: pytest.mark.skipif(not is_available(name), reason=f"{name} is not installed") for name in CASTERS}
 FAST = [pytest.param(name, marks=MISSING[name]) for name in ("raster", "bvh", "embree")]

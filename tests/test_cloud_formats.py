@@ -20,13 +20,13 @@ from blender_lidar.clouds.files import (
     write_cloud,
     write_sustechpoints,
 )
-from blender_lidar.clouds.scan import PointCloud, scan
+from blender_lidar.clouds.scan import PointCloud
 from blender_lidar.errors import MissingExtraError, OutputError
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.vehicles import CLASSES
-from tests.sample_traffic import dense_traffic
+from tests.sample_traffic import dense_traffic, scan
 from tests.small_scene import write_scene
 
 HEADER = {"sensor": "RS-16", "pose": {"x_m": 1.0, "y_m": -0.5, "height_m": 4.1, "yaw_deg": 30.0}, "frame": 7}

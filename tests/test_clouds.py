@@ -13,14 +13,13 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.clouds.files import READERS, check_cloud_name, read_points, write_cloud
-from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError, MissingFileError, OutputError
 from blender_lidar.files import whole_file, write_bytes, write_text
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.vehicles import CLASSES
-from tests.sample_traffic import dense_traffic
+from tests.sample_traffic import dense_traffic, scan
 
 HEADER = {
     "sensor": "RS-16",

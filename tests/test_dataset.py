@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_lidar.clouds.scan import scan
 from blender_lidar.detection import dataset
 from blender_lidar.detection.dataset import TRAIN, VAL, plan_dataset, sample, samples
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
+from tests.sample_traffic import scan
 from tests.small_scene import mounting, traffic_rows, write_scene, write_table
 
 REGION = {"region": {"centre_m": [0.0, 0.0], "radius_m": 12.0}, "sensor": {"range_gate_m": 15.0}}

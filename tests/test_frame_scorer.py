@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from blender_lidar.casting import caster_class, is_available
 from blender_lidar.casting.protocol import StandingScenery
 from blender_lidar.clouds.files import read_points, write_npz
-from blender_lidar.clouds.scan import scan
 from blender_lidar.compiled import numba_works
 from blender_lidar.metrics import view_grids
 from blender_lidar.metrics.vgop import entropy, occupancy, pe_vgop, to_vehicle_frame
@@ -32,7 +31,7 @@ from blender_lidar.world.meshes import GLASS
 from blender_lidar.world.scenery import barrier, box, join, structure
 from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
-from tests.sample_traffic import dense_traffic, joined, one_vehicle
+from tests.sample_traffic import dense_traffic, joined, one_vehicle, scan
 
 LATTICES = {name: beam_lattice(load_model(name), stride=20) for name in ("RS-16", "RS-LiDAR-32", "RS-BPearl")}
 LATTICES["a unit of RS-80"] = beam_lattice(unit_of(load_model("RS-80"), 0.1, 3), stride=50)

@@ -7,14 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.scene.mounting import Mast, Mounting
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.sensors.model import load_model, unit_of
 from blender_lidar.sensors.pose import Pose
-from tests.sample_traffic import dense_traffic, one_vehicle
+from tests.sample_traffic import dense_traffic, one_vehicle, scan
 
 FINE = {name: beam_lattice(load_model(name)) for name in ("RS-16", "RS-LiDAR-32")}
 COARSE = {

@@ -10,7 +10,6 @@ import pytest
 from blender_lidar.casting import is_available
 from blender_lidar.casting.protocol import StandingScenery
 from blender_lidar.clouds.live import LiveFrame
-from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
@@ -22,7 +21,7 @@ from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.scenery import barrier, box, join
-from tests.sample_traffic import dense_traffic
+from tests.sample_traffic import dense_traffic, scan
 
 LATTICE = beam_lattice(load_model("RS-16"), stride=6)
 TRAFFIC = dense_traffic(vehicles=40, length_m=100.0)

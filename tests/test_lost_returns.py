@@ -10,7 +10,6 @@ import pytest
 
 from blender_lidar.casting import CASTERS, caster_class, is_available
 from blender_lidar.casting.protocol import StandingScenery
-from blender_lidar.clouds.scan import scan
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
@@ -21,7 +20,7 @@ from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.meshes import GLASS, REFLECTIVITY, ROAD, STRUCTURE, SURFACES
 from blender_lidar.world.scenery import Scenery, structure
 from blender_lidar.world.triangles import vehicle_triangles
-from tests.sample_traffic import dense_traffic, one_vehicle
+from tests.sample_traffic import dense_traffic, one_vehicle, scan
 
 LATTICE = beam_lattice(load_model("RS-LiDAR-32"), stride=4)
 TRAFFIC = dense_traffic(vehicles=16, length_m=45.0, frame=7)

@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.casting import CASTERS, caster_class, is_available
-from blender_lidar.clouds.scan import class_names, scan
+from blender_lidar.clouds.scan import class_names
 from blender_lidar.errors import InputError
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
-from tests.sample_traffic import dense_traffic, one_vehicle
+from tests.sample_traffic import dense_traffic, one_vehicle, scan
 
 LATTICES = {name: beam_lattice(load_model(name), stride=10) for name in ("RS-16", "RS-LiDAR-32", "RS-BPearl")}
 LATTICE = LATTICES["RS-16"]

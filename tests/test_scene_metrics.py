@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import tests.research  # noqa: F401
-from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.metric import Field, SceneContext, VehicleReturns, View
 from blender_lidar.run.verdict import map_scores
@@ -36,7 +35,7 @@ from scene_metrics import (
     ground_points,
     nuc,
 )
-from tests.sample_traffic import dense_traffic
+from tests.sample_traffic import dense_traffic, scan
 from tests.small_scene import MAPPED, done, without_charts, write_scene
 from tests.test_occupancy_priors import covered_entropy, expected_visibility, m_sog, s_mig
 from voxel_grid import covered_voxels

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from blender_lidar.casting import CASTERS, caster_class, is_available
 from blender_lidar.casting.protocol import StandingScenery
-from blender_lidar.clouds.scan import scan
 from blender_lidar.errors import InputError
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scene.scenario import load_scenario
@@ -32,7 +31,7 @@ from blender_lidar.world.scenery import BARRIERS, barrier, box, join
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.refusals import refused
 from tests.report_samples import Page
-from tests.sample_traffic import dense_traffic
+from tests.sample_traffic import dense_traffic, scan
 from tests.small_scene import cli, done, without_charts, without_times, write_scene
 
 LATTICE = beam_lattice(load_model("RS-16"), stride=6)

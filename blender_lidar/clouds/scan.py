@@ -9,13 +9,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ..casting.culling import cut_vehicles, revolutions
-from ..casting.protocol import Revolution, StandingScenery, dot
+from ..casting.protocol import Revolution, dot
 from ..errors import InputError
 from ..scene.observation import Observation
 from ..scoring.frame_scorer import FrameShapes
-from ..sensors.beams import BeamLattice
-from ..sensors.imperfections import PERFECT, Imperfections
-from ..sensors.lidar import Lidar
 from ..sensors.pose import Pose
 from ..traffic.vehicles import CLASSES, Vehicles
 from ..world.meshes import GLASS, REFLECTIVITY, ROAD
@@ -100,7 +97,8 @@ class FrameScan:
     vehicles : Vehicles
         The frame.
     observation : Observation
-        Sensor, range gate, scenery and imperfections.
+        Sensor, range gate, scenery and imperfections: hits become returns by the same `MeasurementModel` as in
+        `scoring.frame_scorer`. Scenery returns, and hides what is behind it.
     ground : bool
         Whether the road, the plane z = 0, returns.
     """
@@ -171,52 +169,17 @@ class FrameScan:
         )
 
 
-def scan(
-    vehicles: Vehicles,
-    lattice: BeamLattice,
-    pose: Pose,
-    *,
-    caster: str,
-    detail: str = "body",
-    min_range_m: float = 0.0,
-    max_range_m: float,
-    ground: bool = True,
-    scenery: StandingScenery | None = None,
-    imperfections: Imperfections = PERFECT,
-) -> PointCloud:
+def scan(vehicles: Vehicles, observation: Observation, pose: Pose, *, ground: bool = True) -> PointCloud:
     """Cast one revolution over one frame: `FrameScan` for one mounting alone.
-
-    Parameters
-    ----------
-    vehicles : Vehicles
-        The frame.
-    lattice : BeamLattice
-        The sensor's beams.
-    pose : Pose
-        The mounting.
-    caster : str
-        A name of `casting.CASTERS`.
-    detail : str
-        Level of detail of the vehicles' shapes.
-    min_range_m, max_range_m : float
-        Returns measured nearer or farther are lost [m].
-    ground : bool
-        Whether the road, the plane z = 0, returns.
-    scenery : StandingScenery, optional
-        What stands still: it returns, and hides what is behind it.
-    imperfections : Imperfections
-        Range noise, which moves points along their beams, and what is lost: by drop-out, on glass, or because it is
-        too weak; none unless said. Hits become returns as in `scoring.frame_scorer`, by the same `MeasurementModel`.
 
     Raises
     ------
     InputError
         When the sensor is not above the ground.
     """
-    lidar = Lidar(lattice, max_range_m, min_range_m, imperfections)
-    seen = Observation((lidar,), caster, detail, cell_m=np.nan, scenery=scenery)  # nothing is scored
-    none = np.zeros(len(vehicles), dtype=bool)
-    frame = FrameScan(FrameShapes(vehicles, none, detail, caster), vehicles, seen, ground=ground)
+    none = np.zeros(len(vehicles), dtype=bool)  # nothing is scored
+    shapes = FrameShapes(vehicles, none, observation.detail, observation.caster)
+    frame = FrameScan(shapes, vehicles, observation, ground=ground)
     return frame.cloud(pose, frame.turn(pose))
 
 

@@ -16,7 +16,7 @@ from ..scene.mounting import Mounting
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario
 from ..scene.settings import ObjectiveSettings
-from ..scene.site import lattice_of, standing_scenery
+from ..scene.site import lattice_of, observation_of, standing_scenery
 from ..sensors.beams import BeamLattice
 from ..traffic.boxes import DetectedBoxes
 from ..traffic.vehicles import Vehicles
@@ -52,18 +52,8 @@ class MountedSensor:
 
     def scan(self, vehicles: Vehicles) -> PointCloud:
         """One revolution over a frame, ground included."""
-        return scan(
-            vehicles,
-            self.lattice,
-            self.mounting.pose,
-            caster=self.caster,
-            detail=self.scenario.world.detail,
-            min_range_m=self.lattice.model.range_min_m,
-            max_range_m=self.scenario.sensor.range_gate_m,
-            ground=self.scenario.world.ground,
-            scenery=self.scenery,
-            imperfections=self.scenario.sensor.imperfections,
-        )
+        observation = observation_of(self.scenario, self.lattice, self.caster, self.scenery)
+        return scan(vehicles, observation, self.mounting.pose, ground=self.scenario.world.ground)
 
     def cloud_header(self, vehicles: Vehicles) -> dict[str, object]:
         """What made the cloud of a frame, for the file that holds it."""
