@@ -323,6 +323,26 @@ def read_file(path: str | Path, most_bytes: int | None = None) -> bytes:
         return stream.read() if most_bytes is None else stream.read(most_bytes)
 
 
+def read_npz(path: str | Path) -> dict[str, np.ndarray]:
+    """The arrays of an NPZ file, by their names.
+
+    Raises
+    ------
+    OSError
+        As `open_file`.
+    ValueError
+        If it is none, or damaged.
+    """
+    import numpy as np
+
+    with open_file(path) as stream:
+        try:
+            with np.lib.npyio.NpzFile(stream) as archive:
+                return {name: archive[name] for name in archive.files}
+        except Exception as error:  # of a dozen kinds, by NumPy, zipfile, zlib and tokenize
+            raise ValueError(str(error) or type(error).__name__) from error
+
+
 def read_text(path: str | Path) -> str:
     """The content of a regular file of UTF-8 text, with its line ends as ``\\n``.
 

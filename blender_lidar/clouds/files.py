@@ -6,8 +6,6 @@ import io
 import json
 import math
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +14,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import BlenderLidarError, InputError, MissingExtraError, OutputError, one_line
-from ..files import make_folder, open_file, reading, write_bytes, write_text
+from ..files import make_folder, open_file, read_npz, reading, write_bytes, write_text
 from ..sensors.pose import Pose
 from ..traffic.vehicles import CLASSES, Vehicles
 from .scan import NO_CLASS, PointCloud, class_names
@@ -45,22 +43,24 @@ def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
     MissingFileError, InputError
         If it is none.
     """
-    with reading(path, "an NPZ cloud of scan"), open_file(path) as stream:
+    with reading(path, "an NPZ cloud of scan"):
         try:
-            with np.lib.npyio.NpzFile(stream) as archive:
-                columns = {name: archive[name] for name in _OF_POINTS}
-                columns |= {f"{name}_rad": np.radians(archive[f"{name}_deg"]) for name in ("azimuth", "incidence")}
-                names, header = archive["class"].tolist(), json.loads(str(archive["header"]))
+            held = read_npz(path)
+            columns = {name: held[name] for name in (*_OF_POINTS, *_ANGLES)}
+            names, header = held["class"].ravel().tolist(), json.loads(str(held["header"]))
             _check_cloud(columns, names, header)
-        except (*_DAMAGED, TypeError, LookupError, ValueError) as error:
+        except KeyError as error:
+            raise InputError(f"{path}: is not an NPZ cloud of scan: has no {error}") from error
+        except ValueError as error:
             raise InputError(f"{path}: is not an NPZ cloud of scan: {one_line(str(error))}") from error
+    columns |= {f"{name.removesuffix('_deg')}_rad": np.radians(columns.pop(name)) for name in _ANGLES}
     known = dict(zip([*CLASSES, ""], [*range(len(CLASSES)), NO_CLASS], strict=True))
     return PointCloud(**columns, class_index=np.array([known.get(name, NO_CLASS) for name in names], np.int8)), header
 
 
 _OF_POINTS = ("xyz", "range_m", "ring", "time_s", "vehicle_id", "intensity")
+_ANGLES = ("azimuth_deg", "incidence_deg")
 _OF_HEADER = {"sensor": str, "frame": int, "rotation_hz": (int, float), "pose": dict}
-_DAMAGED = (OSError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError)
 
 
 def _check_cloud(columns: dict[str, np.ndarray], names: list, header: dict) -> None:

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -19,7 +17,7 @@ import numpy as np
 
 from ..clouds.scan import PointCloud
 from ..errors import InputError, printable
-from ..files import open_file, reading
+from ..files import read_npz, reading
 from ..sensors.pose import Pose
 from ..toml_table import Setting, TomlTable
 from ..traffic.boxes import DetectedBoxes, no_boxes, suppressed
@@ -276,10 +274,9 @@ def load_weights(path: str | Path) -> tuple[Weights, Mapping[str, object]]:
     """
     with reading(path, "weights of PointPillars, .npz"):
         try:
-            with open_file(path) as stream, np.lib.npyio.NpzFile(stream) as file:
-                found = {name: file[name] for name in file.files}
+            found = read_npz(path)
             card = json.loads(str(found.pop("card", "null")))
-        except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, LookupError) as error:
+        except ValueError as error:
             raise InputError(f"{path}: is no file of weights, .npz: {printable(str(error))}") from error
     needed = shapes()
     wrong = next((name for name in {**needed, **found} if np.shape(found.get(name)) != needed.get(name)), None)
