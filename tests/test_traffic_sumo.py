@@ -134,10 +134,10 @@ def test_every_text_layout_gives_the_same_recording(tmp_path, expected, layout, 
 
 def test_chunks_do_not_show(tmp_path, expected, monkeypatch):
     from blender_lidar.traffic import source as csv_rows
-    from blender_lidar.traffic import sumo as xml_tags
+    from blender_lidar.traffic import sumo_types
 
     monkeypatch.setattr(csv_rows, "_CHUNK_ROWS", 3)
-    monkeypatch.setattr(xml_tags, "_BLOCK_BYTES", 101)
+    monkeypatch.setattr(sumo_types, "_BLOCK_BYTES", 101)
     for name, text in (("run.csv", samples.csv(CROWD)), ("run.xml", samples.xml(CROWD))):
         path = tmp_path / name
         path.write_text(text, encoding="utf-8")

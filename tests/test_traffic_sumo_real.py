@@ -12,7 +12,7 @@ import pytest
 
 from blender_lidar.errors import InputError
 from blender_lidar.traffic import CLASSES, overlapping_pairs, read_traffic
-from blender_lidar.traffic.sumo import DEFAULT_TYPES
+from blender_lidar.traffic.sumo_types import DEFAULT_TYPES
 from tests import sumo_samples as samples
 from tests.waiting import WAIT_S
 

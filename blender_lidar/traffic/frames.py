@@ -53,7 +53,7 @@ def instants(recording: Recording) -> np.ndarray:
 
 # --- The choice of frames ---------------------------------------------------------------------------------------------
 
-Counted = Callable[[Vehicles], np.ndarray]
+Holds = Callable[[Vehicles], np.ndarray]
 """Marks the vehicles of a frame that score, (n,) bool: those inside the region."""
 
 DEFAULT_COUNT = 30
@@ -98,7 +98,7 @@ class FramePlan:
 
 def plan_frames(
     recording: Recording,
-    counted: Counted,
+    holds: Holds,
     *,
     count: int | None = None,
     ids: Iterable[int] | None = None,
@@ -111,7 +111,7 @@ def plan_frames(
     Parameters
     ----------
     recording : Recording
-    counted : callable
+    holds : callable
         Marks the vehicles of a frame that score.
     count : int, optional
         Number of search frames, spread evenly; `DEFAULT_COUNT` if nothing else is asked for.
@@ -138,7 +138,7 @@ def plan_frames(
     whole = instants(recording)
     candidates = _Frames.of(recording, well_populated_frames(recording, whole))
     if block_s is None:
-        block_s = _transit_block_s(recording, candidates, counted)
+        block_s = _transit_block_s(recording, candidates, holds)
     notes: list[str] = [] if ids is not None else _skipped(recording, whole, candidates)
     listed = None if ids is None else _Frames.of(recording, ids, candidates.spacing_s)
 
@@ -163,7 +163,7 @@ def plan_frames(
         search_recording=np.zeros(len(search.frames), dtype=np.int64),
         holdout_recording=np.zeros(len(judged.frames), dtype=np.int64) if judged else none,
         block_s=float(block_s),
-        searched_ids=np.unique(np.concatenate(_counted_ids(recording, search.frames, counted))),
+        searched_ids=np.unique(np.concatenate(_counted_ids(recording, search.frames, holds))),
         notes=tuple(notes),
     )
 
@@ -199,14 +199,14 @@ def _known_frames(recording: Recording, ids: Iterable[int]) -> np.ndarray:
     return frames
 
 
-def _counted_ids(recording: Recording, frames: np.ndarray, counted: Counted) -> list[np.ndarray]:
+def _counted_ids(recording: Recording, frames: np.ndarray, holds: Holds) -> list[np.ndarray]:
     """Ids of the vehicles that count, frame by frame."""
-    return [vehicles.vehicle_id[counted(vehicles)] for vehicles in map(recording.vehicles, frames)]
+    return [vehicles.vehicle_id[holds(vehicles)] for vehicles in map(recording.vehicles, frames)]
 
 
-def _transit_block_s(recording: Recording, candidates: _Frames, counted: Counted) -> float:
+def _transit_block_s(recording: Recording, candidates: _Frames, holds: Holds) -> float:
     """A block longer than most transits: from a vehicle's first counted instant to the end of its last [s]."""
-    ids = _counted_ids(recording, candidates.frames, counted)
+    ids = _counted_ids(recording, candidates.frames, holds)
     time_s = np.repeat(candidates.time_s, [len(some) for some in ids])
     seen = np.concatenate(ids)
     if not len(seen):

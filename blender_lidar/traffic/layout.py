@@ -9,7 +9,7 @@ where it drives on the right: the kerb is to the right throughout, until the res
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,12 +18,11 @@ from ..names import SIDES
 from ..road import StraightRoad
 from ..road.road_map import wrap_angle
 from .lanes import FEW, FEWEST_ON_A_ROAD, ONE_CARRIAGEWAY_M, Lanes, lanes_across
-from .tracks import central_velocity, held_heading
+from .motion import ALONG_RAD, Samples, busiest_place, directions, near_place, sharpest, turned, unturned, windowed
 from .vehicles import Placing, Recording
 
 HALF_STRETCH_M = 50.0
-_ALONG_RAD, _CROSSING_RAD = np.radians([15.0, 30.0])  # of the road: who drives on it, and who across it
-_MOST_SAMPLES = 200_000
+_CROSSING_RAD = math.radians(30.0)  # off the road, who drives across it
 _OTHER_WAY_M = 40.0  # from a carriageway's edge, within which oncoming vehicles are of the same road
 _ASSUMED = (
     "nothing shows on which side of the road vehicles drive (nobody comes the other way, no lane numbers): right-hand "
@@ -34,7 +33,6 @@ SETBACK_M = 2.0
 _SETBACKS_M = (SETBACK_M, 3.0, 4.0, 6.0, 8.0, 10.0)
 _CLEAR_M = 1.0  # about the pole
 _BIN_M = 5.0  # along the road
-_MOST_BINS = 2000
 _CHORD_M = 25.0
 _BEND_RAD = math.radians(2.0)
 _MANY_VEHICLES = 12  # on each lane
@@ -123,11 +121,11 @@ def propose_layout(recording: Recording, *, follows_x: bool = False, kerb_lane: 
     InputError
         If there are too few vehicles that move, none that drive one way, or no place for a pole beside them.
     """
-    samples = _Samples.of(recording)
+    samples = Samples.of(recording)
     side, shown_by = _traffic_side(samples, follows_x, kerb_lane)
     mirrored = side == SIDES[1]
     samples = samples.mirrored() if mirrored else samples
-    found = [_carriageway(samples, direction, follows_x) for direction in _directions(samples, follows_x)]
+    found = [_carriageway(samples, direction, follows_x) for direction in directions(samples, follows_x)]
     layouts = _different([one for one in found if one])
     if not layouts:
         way = "along Local_Y" if follows_x else "one way on a stretch that no others cross"
@@ -143,7 +141,7 @@ def propose_layout(recording: Recording, *, follows_x: bool = False, kerb_lane: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
-    """A layout, and the rows of `_Samples.vehicle` that drive along it and come the other way."""
+    """A layout, and the rows of `Samples.vehicle` that drive along it and come the other way."""
 
     layout: RoadLayout
     along: np.ndarray
@@ -180,84 +178,12 @@ def _carriageways(road: StraightRoad) -> str:
     return f"carriageways = {road.carriageways}\nmedian_m = {road.median_m:g}"
 
 
-# --- Motion: positions, headings and speeds of all rows ---------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Samples:
-    """Rows with their motion; `xy` (n, 2) [m], `heading` [rad] (NaN: never moves), `speed` [m/s], `size` (n, 2)."""
-
-    vehicle: np.ndarray
-    xy: np.ndarray
-    heading: np.ndarray
-    speed: np.ndarray
-    size: np.ndarray
-    lane: np.ndarray
-
-    @classmethod
-    def of(cls, recording: Recording) -> _Samples:
-        """Motion by central differences over about two seconds; where a vehicle stands its heading is held."""
-        order = np.lexsort((recording.frame, recording.vehicle_id))
-        vehicle = np.unique(recording.vehicle_id[order], return_inverse=True)[1].reshape(-1)
-        time_s = recording.frame_time_s[np.searchsorted(recording.frames, recording.frame[order])]
-        time_s = time_s - time_s.min()
-        xy = recording.centre_m[order, :2]
-        if (np.diff(vehicle) > 0).all():
-            raise InputError(f"{recording.source}: no road can be proposed: no vehicle is in more than one frame")
-        velocity = central_velocity(vehicle, time_s, xy)
-        heading, held = held_heading(vehicle, velocity, np.nan)
-        if np.isnan(heading).all():
-            raise InputError(f"{recording.source}: no road can be proposed: every vehicle stands")
-        speed = np.where(held, 0.0, np.hypot(*velocity.T))
-        return cls(vehicle, xy, heading, speed, recording.size_m[order, :2], recording.lane[order])
-
-    def mirrored(self) -> _Samples:
-        """The same with y to the right of x."""
-        return replace(self, xy=self.xy * (1.0, -1.0), heading=-self.heading)
-
-    def where(self, which: np.ndarray | slice) -> _Samples:
-        return _Samples(*(getattr(self, field.name)[which] for field in fields(self)))
-
-    def thinned(self) -> _Samples:
-        """At most `_MOST_SAMPLES` of them."""
-        return self.where(slice(None, None, max(1, -(-len(self.xy) // _MOST_SAMPLES))))
-
-    def off(self, direction: float) -> np.ndarray:
-        """Angle between each heading and a direction, (n,) [rad], without sign; NaN where there is no heading."""
-        return np.abs(wrap_angle(self.heading - direction))
-
-
-def _turned(xy: np.ndarray, direction: float) -> tuple[np.ndarray, np.ndarray]:
-    """Along a direction, and across it to the left [m]."""
-    cos, sin = math.cos(direction), math.sin(direction)
-    return xy[:, 0] * cos + xy[:, 1] * sin, xy[:, 1] * cos - xy[:, 0] * sin
-
-
-def _directions(samples: _Samples, follows_x: bool) -> list[float]:
-    """The directions that most is driven in, the busiest first [rad]: peaks of a circular histogram."""
-    if follows_x:
-        return [0.0]
-    moving = samples.speed > 0.0
-    weight = np.histogram(
-        np.degrees(samples.heading[moving]) % 360.0, 360, (0.0, 360.0), weights=samples.speed[moving]
-    )[0]
-    kernel = np.exp(-0.5 * (np.arange(-12, 13) / 4.0) ** 2)
-    smooth = np.convolve(np.concatenate([weight[-12:], weight, weight[:12]]), kernel / kernel.sum(), "valid")
-    found, left = [], smooth.copy()
-    while len(found) < 8 and left.max() > 0.1 * smooth.max():
-        peak = int(left.argmax())
-        if smooth[peak] >= max(smooth[peak - 1], smooth[(peak + 1) % 360]):
-            found.append(math.radians(peak + 0.5))
-        left[np.arange(peak - 20, peak + 21) % 360] = 0.0
-    return found
-
-
 # --- A carriageway in one direction -----------------------------------------------------------------------
 
 
-def _carriageway(everything: _Samples, direction: float, follows_x: bool) -> _Found | None:
+def _carriageway(everything: Samples, direction: float, follows_x: bool) -> _Found | None:
     """The busiest carriageway in about a direction, and who comes to its pole; None where there is no stretch."""
-    place, half_m = _busiest_place(everything, direction), HALF_STRETCH_M
+    place, half_m = busiest_place(everything, direction), HALF_STRETCH_M
     for look in range(3):  # the lanes where most drive, those where the pole stands, and again as far as it is straight
         half_m = 2.0 * HALF_STRETCH_M if follows_x else half_m
         direction, lanes = _lanes_near(everything, place, direction, half_m, turns=not follows_x)
@@ -270,68 +196,58 @@ def _carriageway(everything: _Samples, direction: float, follows_x: bool) -> _Fo
         found = _station(everything, place, direction, lanes, stays=look > 0)
         if found is None:
             return None
-        place = place + _unturned(found.station, 0.0, direction)
+        place = place + unturned(found.station, 0.0, direction)
         half_m = found.half_m
     others = np.unique(everything.vehicle[oncoming if both else oncoming[:0]])
     return _Found(_layout(found, lanes, place, direction, len(others)), found.vehicles, others)
 
 
-def _busiest_place(everything: _Samples, direction: float) -> np.ndarray:
-    """Where most drive in about a direction, (2,) [m]."""
-    along = everything.where(everything.off(direction) <= _ALONG_RAD).thinned()
-    if not len(along.xy):
-        return np.full(2, np.nan)
-    middle = along.xy.mean(axis=0)
-    u, v = _turned(along.xy - middle, direction)
-    return middle + _unturned(*_busiest(u, v, along.speed), direction)
-
-
 def _lanes_near(
-    everything: _Samples, place: np.ndarray, direction: float, half_m: float, *, turns: bool
+    everything: Samples, place: np.ndarray, direction: float, half_m: float, *, turns: bool
 ) -> tuple[float, Lanes | None]:
     """The direction in which lanes about a place are sharpest, and these lanes, across from the place."""
-    near = _near(everything, place, direction, half_m)
+    near = near_place(everything, place, direction, half_m)
     if len(near.xy) and turns:
-        direction = _sharpest(near, place, direction)
-    v = _turned(near.xy - place, direction)[1]
+        direction = sharpest(near, place, direction)
+    v = turned(near.xy - place, direction)[1]
     return direction, lanes_across(v, near.vehicle, near.speed, near.lane)
 
 
-def _lanes_of(everything: _Samples, rows: np.ndarray, place: np.ndarray, direction: float) -> Lanes | None:
+def _lanes_of(everything: Samples, rows: np.ndarray, place: np.ndarray, direction: float) -> Lanes | None:
     near = everything.where(rows).thinned()
-    return lanes_across(_turned(near.xy - place, direction)[1], near.vehicle, near.speed, near.lane)
+    return lanes_across(turned(near.xy - place, direction)[1], near.vehicle, near.speed, near.lane)
 
 
 def _oncoming(
-    everything: _Samples, place: np.ndarray, direction: float, lanes: Lanes, half_m: float, side: str = SIDES[1]
+    everything: Samples, place: np.ndarray, direction: float, lanes: Lanes, half_m: float, side: str = SIDES[1]
 ) -> np.ndarray:
     """Rows of those that come the other way on the nearest carriageway on one side of some lanes, (r,) int."""
-    u, v = _turned(everything.xy - place, direction)
+    u, v = turned(everything.xy - place, direction)
     beyond = v - lanes.left_m if side == SIDES[1] else lanes.right_m - v
     here = (np.abs(u) <= half_m) & (beyond > -_OVER_THE_LINE_M) & (beyond <= _OTHER_WAY_M)
-    rows = np.flatnonzero(here & (everything.off(direction + math.pi) <= _ALONG_RAD) & (everything.speed > 0.0))
+    rows = np.flatnonzero(here & (everything.off(direction + math.pi) <= ALONG_RAD) & (everything.speed > 0.0))
     rows = rows[np.argsort(beyond[rows], kind="stable")]
     groups = np.split(rows, 1 + np.flatnonzero(np.diff(beyond[rows]) > ONE_CARRIAGEWAY_M))
     many = (group for group in groups if len(np.unique(everything.vehicle[group])) >= FEWEST_ON_A_ROAD)
     return next(many, rows[:0])
 
 
-def _traffic_side(samples: _Samples, follows_x: bool, kerb_lane: bool) -> tuple[str, str]:
+def _traffic_side(samples: Samples, follows_x: bool, kerb_lane: bool) -> tuple[str, str]:
     """The side of the road on which vehicles drive, and what shows it; the right, and nothing, where nothing does.
 
     Lane numbers that count from the kerb tell it, else the side on which the nearest oncoming vehicles are, each
     direction of travel by its number of vehicles.
     """
     by_lanes = by_oncoming = 0
-    for direction in _directions(samples, follows_x):
-        place = _busiest_place(samples, direction)
+    for direction in directions(samples, follows_x):
+        place = busiest_place(samples, direction)
         direction, lanes = _lanes_near(samples, place, direction, HALF_STRETCH_M, turns=not follows_x)
         if lanes is None:
             continue
         order = np.sign(np.diff(lanes.numbers))
         if kerb_lane and len(order) and abs(order.sum()) == len(order):
             by_lanes += int(order[0]) * len(order)
-        v, nearest = _turned(samples.xy - place, direction)[1], {}
+        v, nearest = turned(samples.xy - place, direction)[1], {}
         for side in SIDES[:2]:
             rows = _oncoming(samples, place, direction, lanes, HALF_STRETCH_M, side)
             if len(rows):
@@ -343,58 +259,6 @@ def _traffic_side(samples: _Samples, follows_x: bool, kerb_lane: bool) -> tuple[
     votes = by_lanes or by_oncoming
     shown_by = "the lanes' numbers" if by_lanes else "vehicles that come the other way" if by_oncoming else ""
     return SIDES[0 if votes >= 0 else 1], shown_by or ("as where NGSIM was recorded" if follows_x else "")
-
-
-def _unturned(along: float, across: float, direction: float) -> np.ndarray:
-    cos, sin = math.cos(direction), math.sin(direction)
-    return np.array([along * cos - across * sin, along * sin + across * cos])
-
-
-def _busiest(u: np.ndarray, v: np.ndarray, speed: np.ndarray) -> tuple[float, float]:
-    """Middle of the 100 m by 20 m through which most drive, along and across [m]; found coarsely first where far."""
-    steps, windows = np.array([10.0, 4.0]), (10, 5)
-    while True:
-        low, high = np.array([u.min(), v.min()]), np.array([u.max(), v.max()])
-        counts = np.minimum(_MOST_BINS, np.ceil((high - low) / steps) + 1).astype(int)
-        size = np.maximum(steps, (high - low) * (1.0 + 1e-9) / counts)
-        flow = np.histogram2d(u, v, counts, np.transpose([low, low + counts * size]), weights=speed)[0]
-        for axis, window in enumerate(windows):
-            flow = _windowed(flow, window, axis)
-        u0, v0 = low + (np.array(np.unravel_index(flow.argmax(), flow.shape)) + 0.5) * size
-        if (size == steps).all():
-            return float(u0), float(v0)
-        reach = 0.5 * (np.array(windows) + 1) * size
-        inside = (np.abs(u - u0) <= reach[0]) & (np.abs(v - v0) <= reach[1])
-        u, v, speed = u[inside], v[inside], speed[inside]
-
-
-def _windowed(values: np.ndarray, window: int, axis: int = 0) -> np.ndarray:
-    """Moving sums over a window about each place; beyond the ends there is nothing."""
-    running = np.insert(np.cumsum(values, axis=axis), 0, 0.0, axis=axis)
-    here = np.arange(values.shape[axis])
-    high = np.minimum(here + window // 2 + 1, len(here))
-    return np.take(running, high, axis) - np.take(running, np.maximum(here - window // 2, 0), axis)
-
-
-def _near(everything: _Samples, place: np.ndarray, direction: float, half_m: float) -> _Samples:
-    """Those that drive along the stretch about a place; a longer one where the file follows the road's bends."""
-    u, v = _turned(everything.xy - place, direction)
-    here = (np.abs(u) <= half_m) & (np.abs(v) <= 25.0) & (everything.off(direction) <= _ALONG_RAD)
-    return everything.where(here & (everything.speed > 0.0)).thinned()
-
-
-def _sharpest(near: _Samples, place: np.ndarray, direction: float) -> float:
-    """The direction along which lanes are sharpest: where a histogram of what lies across has the largest squares."""
-    for reach_deg, step_deg in ((8.0, 0.5), (0.5, 0.05)):
-        candidates = direction + np.radians(np.arange(-reach_deg, reach_deg + step_deg / 2, step_deg))
-        sharpness = []
-        for candidate in candidates:
-            across = _turned(near.xy - place, candidate)[1]
-            counts = np.bincount(((across + 60.0) / 0.3).astype(int), weights=near.speed)
-            sharpness.append((np.convolve(counts, [0.25, 0.5, 0.25]) ** 2).sum())
-        best = np.array(sharpness)
-        direction = float(candidates[best >= best.max() * (1.0 - 1e-9)].mean())
-    return math.radians(round(math.degrees(wrap_angle(direction)), 2))
 
 
 # --- Where a pole may stand beside it ---------------------------------------------------------------------
@@ -411,12 +275,12 @@ class _Station:
     notes: tuple[str, ...]
 
 
-def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: Lanes, stays: bool) -> _Station | None:
+def _station(everything: Samples, place: np.ndarray, direction: float, lanes: Lanes, stays: bool) -> _Station | None:
     """The densest stretch of a carriageway, away from its ends and from where others cross it; None where none is.
 
     Where it `stays` it is the nearest place that is free.
     """
-    u, v = _turned(everything.xy - place, direction)
+    u, v = turned(everything.xy - place, direction)
     off = everything.off(direction)
     on_road = (v >= lanes.right_m) & (v <= lanes.left_m)
     along = on_road & (off <= _CROSSING_RAD)
@@ -427,7 +291,7 @@ def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: L
     edges = np.arange(-reach, reach + _BIN_M, _BIN_M)
     presence = np.histogram(u[along], edges)[0]
     here = int(np.abs(edges + 0.5 * _BIN_M).argmin())
-    followed = _windowed(presence, 6) > 0
+    followed = windowed(presence, 6) > 0
     gaps = np.flatnonzero(~followed)
     low, high = gaps[gaps < here].max(initial=-1) + 1, gaps[gaps > here].min(initial=len(presence)) - 1
     used = np.flatnonzero(presence[low : high + 1]) + low
@@ -435,7 +299,7 @@ def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: L
         return None
     extent = float(edges[used[0]]), float(edges[used[-1] + 1])
     crossed = np.histogram(u[across], edges)[0] > np.maximum(FEW * presence, 1)
-    near_crossing = _windowed(crossed, 4) > 0
+    near_crossing = windowed(crossed, 4) > 0
     middles = edges[:-1] + 0.5 * _BIN_M
     inside = (middles > extent[0]) & (middles < extent[1]) & ~near_crossing[: len(middles)]
     crossings = np.flatnonzero(crossed & (middles > extent[0]) & (middles < extent[1]))
@@ -451,7 +315,7 @@ def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: L
     if stays:
         merit = -np.abs(middles)
     else:
-        dense = _windowed(presence, 2 * int(HALF_STRETCH_M / _BIN_M))
+        dense = windowed(presence, 2 * int(HALF_STRETCH_M / _BIN_M))
         free &= dense >= 0.9 * dense[free].max()
         merit = np.minimum(middles - extent[0], extent[1] - middles)
     chosen = float(middles[free][merit[free].argmax()])
@@ -477,7 +341,7 @@ def _station(everything: _Samples, place: np.ndarray, direction: float, lanes: L
     return _Station(chosen, setback, (extent[0] - chosen, extent[1] - chosen), stretch, half, vehicles, tuple(notes))
 
 
-def _bend(everything: _Samples, here: np.ndarray) -> float:
+def _bend(everything: Samples, here: np.ndarray) -> float:
     """By how much a road turns to the left within 50 m: the median of those whose rows are `here` at the pole [rad].
 
     It is the angle between two chords of 25 m along each vehicle's own way, before and after the pole or, where tracks
@@ -498,7 +362,7 @@ def _bend(everything: _Samples, here: np.ndarray) -> float:
     return float(np.median(wrap_angle(turn) * 4.0 * _CHORD_M / lengths[:, long].sum(axis=0)))
 
 
-def _clear(everything: _Samples, u, v, direction: float, line: float, edges: np.ndarray) -> np.ndarray:
+def _clear(everything: Samples, u, v, direction: float, line: float, edges: np.ndarray) -> np.ndarray:
     """Bins along the road in which no vehicle ever comes near a pole at `line` across it, (b,) bool."""
     off = np.nan_to_num(everything.off(direction), nan=0.5 * np.pi)
     cos, sin = np.abs(np.cos(off)), np.sin(off)
@@ -513,7 +377,7 @@ def _clear(everything: _Samples, u, v, direction: float, line: float, edges: np.
 
 def _layout(found: _Station, lanes: Lanes, place: np.ndarray, direction: float, oncoming: int) -> RoadLayout:
     shift = lanes.right_m - found.setback_m  # across, of the line y = 0
-    origin = place + _unturned(0.0, shift, direction)
+    origin = place + unturned(0.0, shift, direction)
     road = StraightRoad(
         carriageways=1 if lanes.median_m is None else 2,
         median_m=lanes.median_m,

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import codecs
 import csv
-import difflib
 import gzip
 import io
 import re
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -140,23 +139,6 @@ def _letters(name: str) -> str:
     return re.sub(r"[\W_]+", "", name.lower().replace("°", "deg"))
 
 
-def nearest_names(
-    wanted: Iterable[str], present: Iterable[str], words: Mapping[str, Collection[str]]
-) -> dict[str, str]:
-    """Which of the `present` names of columns may be meant by those that are `wanted`, each for one at most.
-
-    One is if it has one of the `words` for a name in it, or is spelt much alike.
-    """
-    left, found = [name for name in present if name], {}
-    for name in wanted:
-        of_words = (one for one in left if words.get(name, set()) & set(re.split(r"[\W_]+", one.lower())))
-        near = next(of_words, None) or next(iter(difflib.get_close_matches(name, left, 1, 0.75)), None)
-        if near is not None:
-            found[name] = near
-            left.remove(near)
-    return found
-
-
 class TableLayout(NamedTuple):
     """How the rows of one file are written.
 
@@ -179,11 +161,11 @@ class TableLayout(NamedTuple):
         needed: Iterable[str],
         optional: Iterable[str],
         where: str,
-        words: Mapping[str, Collection[str]] | None = None,
+        nearest: Callable[[Iterable[str], Iterable[str]], dict[str, str]] = lambda wanted, present: {},
     ) -> list[str]:
         """The columns that are used: the needed ones, and the optional ones that are there.
 
-        With `words` for them an error tells which ones may be meant; see `nearest_names`.
+        An error tells which ones may be meant, `nearest` to those that are missing among those that are present.
 
         Raises
         ------
@@ -193,9 +175,9 @@ class TableLayout(NamedTuple):
         needed = list(needed)
         missing = [name for name in needed if name not in self.columns]
         if missing:
-            names = [printable(name, _LONGEST_SHOWN) for name in self.columns if name]
+            names = [short(name) for name in self.columns if name]
             listed = f"needed: {', '.join(needed)}; it has {', '.join(names)}"
-            near = nearest_names(missing, [name for name in names if name not in needed], words or {})
+            near = nearest(missing, [name for name in names if name not in needed])
             listed += f"; nearest: {', '.join(f'{one} to {name}' for name, one in near.items())}" if near else ""
             raise InputError(f"{where}: no column {', '.join(missing)}; {listed}")
         used = [*needed, *(name for name in optional if name in self.columns)]
@@ -289,6 +271,7 @@ class Rows:
 
 
 _MINUS = "\u2212"  # as spreadsheets of some countries write it
+_GARBLED = "\ufffd"  # in place of what is not in the encoding of the rest
 
 
 def numbers(values: np.ndarray) -> np.ndarray:
@@ -320,14 +303,10 @@ def vehicle_ids(rows: Rows, name: str, index: dict[str, int]) -> np.ndarray:
         For the first row without one, or where the file's encoding garbles it.
     """
     found = codes(rows, name, index)
-    for text in (*EMPTY, *(text for text in index if "\ufffd" in text or text.strip().lower() in ("", "nan"))):
+    for text in (*EMPTY, *(text for text in index if _GARBLED in text or text.strip().lower() in ("", "nan"))):
         if text in index and (row := np.flatnonzero(found == index[text])).size:
-            words = (
-                "is in another encoding than the file's beginning; save it as UTF-8"
-                if "\ufffd" in text
-                else "is missing"
-            )
-            raise InputError(f"{rows.where(row[0])}: {name} {words}")
+            encoding = "is in another encoding than the file's beginning; save it as UTF-8"
+            raise InputError(f"{rows.where(row[0])}: {name} {encoding if _GARBLED in text else 'is missing'}")
     return found
 
 
@@ -344,10 +323,15 @@ def vehicle_numbers(names: Sequence[str]) -> tuple[np.ndarray, list[str]]:
 _WHOLE = re.compile(r"(?:0|[1-9][0-9]{0,14})(?:\.0*)?")  # below 2**53; with a point, as spreadsheets write them
 
 
+def short(name: str) -> str:
+    """A name from a file as a message shows it."""
+    return printable(name, _LONGEST_SHOWN)
+
+
 def listed(names: Sequence[str]) -> str:
     """Some names from a file, and how many more there are."""
     more = f" and {len(names) - _NAMES_SHOWN:,} more" if len(names) > _NAMES_SHOWN else ""
-    return ", ".join(printable(name, _LONGEST_SHOWN) for name in names[:_NAMES_SHOWN]) + more
+    return ", ".join(map(short, names[:_NAMES_SHOWN])) + more
 
 
 def quoted(text: str) -> str:
@@ -385,7 +369,7 @@ def read_rows(
     Parameters
     ----------
     path : path
-    layout : Layout
+    layout : TableLayout
         How the rows are written.
     columns : mapping of str to Column
         Those that hold numbers, by name.
@@ -418,14 +402,8 @@ def read_rows(
                 raise InputError(f"{path}: more than {MAX_ROWS:,} rows; split the file")
             if decimal and _WITH_POINT.search("".join(chunk)):
                 raise InputError(f"{path}: has numbers with a decimal comma and with a point; allowed: one of them")
-            plain = [line.replace(",", ".") for line in chunk] if decimal else chunk
-            found = _parsed(_unquoted(plain) if layout.delimiter == "," else plain, layout, used, columns.keys())
-            if (
-                found
-                and decimal
-                and any("." in text for name in texts if name in found for text in found[name].tolist())
-            ):
-                found = None  # a text with a comma of its own
+            plain = _unquoted(chunk) if layout.delimiter == "," else chunk
+            found = None if decimal else _parsed(plain, layout, used, columns.keys())
             lines = range(first, first + len(chunk))
             first += len(chunk)
             if found is None:

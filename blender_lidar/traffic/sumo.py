@@ -8,38 +8,37 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
-from xml.parsers import expat
 
 import numpy as np
 
-from ..errors import InputError, MissingExtraError, printable, unknown_name
+from ..errors import InputError, MissingExtraError
 from .source import (
     MAX_ROWS,
     Column,
     Rows,
     TableLayout,
     codes,
+    delimiter_of,
     fields_of,
     first_lines,
-    listed,
     open_bytes,
     read_rows,
+    short,
     vehicle_ids,
     vehicle_numbers,
 )
+from .sumo_types import read_types, start_tags, types_of
 from .tracks import drop_repeats
-from .vehicles import CLASSES, HEIGHTS_M, VAN_LONGER_THAN_M, Placing, Recording, RepairReport, with_overlaps_reported
+from .vehicles import CLASSES, Placing, Recording, RepairReport, with_overlaps_reported
 
 _LANE = re.compile(".*_([0-9]{1,5})", re.DOTALL)
 _LARGEST_LANE = 2**15 - 2
 _FLAT_WITHIN_M = 0.1
 _WITHIN_DEGREES = 1.0  # 111 km: no scene is as large; in metres, no traffic is as small
-_LONGEST_SHOWN = 40
 
 
 def read_sumo(
@@ -75,18 +74,18 @@ def read_sumo(
     """
     defined = None if vehicle_types is None else read_types(vehicle_types)
     rows, names, report = _collected(path)
-    types, assumed = _types(names["type"], defined, f"{path}: vehicle_types {vehicle_types}")
+    types, assumed = types_of(names["type"], defined, f"{path}: vehicle_types {vehicle_types}")
     frame, step_s, notes = frames_of(rows["time"])
     content = np.column_stack([rows[name] for name in ("x", "y", "angle", "type", "lane")])
     kept, duplicates, repeated = drop_repeats(rows["id"], frame, content)
     on_road = np.array([kind.class_name is not None for kind in types])[rows["type"][kept]]
     strangers = Counter(names["type"][code] for code in rows["type"][kept[~on_road]])
     if not on_road.any():
-        raise InputError(f"{path}: no vehicle on a road; all are {', '.join(map(_short, sorted(strangers)))}")
+        raise InputError(f"{path}: no vehicle on a road; all are {', '.join(map(short, sorted(strangers)))}")
     if origin_m is None and heading_deg is None:
         notes.insert(0, "neither origin_m nor heading_deg: the road's origin and x axis are the net's own")
     if strangers:
-        counts = ", ".join(f"{count:,} of {_short(name)}" for name, count in sorted(strangers.items()))
+        counts = ", ".join(f"{count:,} of {short(name)}" for name, count in sorted(strangers.items()))
         notes.append(f"rows of vehicles on no road: {counts}")
     vehicle_id, numbered = vehicle_numbers(names["id"])
     notes += numbered
@@ -138,7 +137,7 @@ def kind_of_fcd(path: str | Path) -> str | None:
     line = first_lines(path)[0][1]
     if line.lstrip().startswith("<"):
         return "xml"
-    names = {name.lower() for name in fields_of(line, _delimiter_of(line))}
+    names = {name.lower() for name in fields_of(line, delimiter_of(line, ()))}
     return "csv" if "timestep_time" in names or names >= {"time", "id", "x", "y"} else None
 
 
@@ -146,10 +145,6 @@ def _lane_number(lane: str) -> int:
     """The number of a lane by its id: ``"edge_0"`` is 1; 0 where it tells no index."""
     found = _LANE.fullmatch(lane)
     return int(found[1]) + 1 if found and int(found[1]) <= _LARGEST_LANE else 0
-
-
-def _short(name: str) -> str:
-    return printable(name, _LONGEST_SHOWN)
 
 
 # --- Rows of floating car data as arrays, whichever kind of file they come from ---------------------------
@@ -213,46 +208,21 @@ def _collected(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, list[
     return columns, {name: list(index) for name, index in known.items()}, report
 
 
-# --- XML: the start tags, streamed: nothing is built, so that memory does not grow with the file ----------
+# --- XML --------------------------------------------------------------------------------------------------
 
-_BLOCK_BYTES = 2**18
 _CHUNK_TAGS = 10_000
 _ROOT = "fcd-export"
 _ATTRIBUTES = ("id", "x", "y", "angle", "type", "lane")
 
 
-def _start_tags(path: str | Path) -> Iterator[tuple[int, str, dict[str, str]]]:
-    """The start tags of a file, plain or gzip: line (from 1), name and attributes of each.
-
-    Raises
-    ------
-    MissingFileError, InputError
-        As `open_bytes`; and if the file is not well-formed XML, or declares an encoding that cannot be read.
-    """
-    tags: list[tuple[int, str, dict[str, str]]] = []
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = lambda name, attributes: tags.append((parser.CurrentLineNumber, name, attributes))
-    with open_bytes(path) as stream:
-        block = b"more"
-        while block:
-            block = stream.read(_BLOCK_BYTES)
-            try:
-                parser.Parse(block, not block)
-            except (expat.ExpatError, LookupError, ValueError) as error:  # the latter two of encodings
-                line = parser.ErrorLineNumber
-                raise InputError(f"{path}:{line}: truncated or damaged XML ({error})") from error
-            yield from tags
-            tags.clear()
-
-
 def _xml_rows(path: str | Path) -> Iterator[Rows]:
     """The vehicles, persons and containers of a file as ``sumo --fcd-output run.fcd.xml`` writes it."""
     time: str | None = None
-    tags = _start_tags(path)
+    tags = start_tags(path)
     line, root, _ = next(tags)
     if root != _ROOT:
         raise InputError(
-            f"{path}:{line}: the root element is <{_short(root)}>; a recording of SUMO's has <{_ROOT}> (--fcd-output)"
+            f"{path}:{line}: the root element is <{short(root)}>; a recording of SUMO's has <{_ROOT}> (--fcd-output)"
         )
     while chunk := list(islice(tags, _CHUNK_TAGS)):
         names = (*_ATTRIBUTES, "z") if any("z" in attributes for _, _, attributes in chunk) else _ATTRIBUTES
@@ -281,14 +251,10 @@ _MARKS = ("tag", "person_id", "container_id")  # further columns that tell what 
 _OPTIONAL = ("type", "lane", "z", *_MARKS)
 
 
-def _delimiter_of(header: str) -> str:
-    return max((";", ",", "\t"), key=header.count)
-
-
 def _csv_rows(path: str | Path) -> Iterator[Rows]:
     """The rows of a file that ``sumo --fcd-output run.fcd.csv`` or the tool ``xml2csv.py`` wrote."""
     line, text = first_lines(path)[0]
-    delimiter = _delimiter_of(text)
+    delimiter = delimiter_of(text, ())
     layout = TableLayout(_attributes(fields_of(text, delimiter)), delimiter, line + 1)
     layout.check(FCD_NEEDED, _OPTIONAL, f"{path}:{line}")
     yield from map(_with_tags, read_rows(path, layout, FCD_COLUMNS, (*_TEXTS, *_MARKS)))
@@ -345,128 +311,6 @@ def _with_tags(rows: Rows) -> Rows:
         other |= there & np.isin(rows.columns["tag"].astype(str), _KINDS[1:])
     tag = np.select([other, there], ["person", "vehicle"], "")
     return replace(rows, columns={**rows.columns, "tag": tag})
-
-
-# --- Classes and sizes of vehicles: a recording names a type, whose size stands in a route or additional file
-
-
-class VehicleType(NamedTuple):
-    """What a name in the column ``type`` stands for.
-
-    Attributes
-    ----------
-    class_name : str or None
-        Ours; None for what is no vehicle on a road.
-    size_m : (float, float, float)
-        Length, width and height [m]; of no account for what is on no road.
-    """
-
-    class_name: str | None
-    size_m: tuple[float, float, float]
-
-
-_CARS = ("ignoring", "private", "authority", "army", "vip", "passenger", "hov", "taxi", "evehicle")
-_ON_RAILS = ("rail_urban", "subway", "rail", "rail_electric", "rail_fast", "cable_car")
-_ON_NO_ROAD = ("pedestrian", "wheelchair", "container", "ship", "aircraft", "drone")
-DEFAULT_TYPES = {
-    **dict.fromkeys((*_CARS, "custom1", "custom2"), VehicleType("car", (5.0, 1.8, 1.5))),
-    **dict.fromkeys(("emergency", "delivery"), VehicleType("van", (6.5, 2.16, 2.86))),
-    "bus": VehicleType("bus", (12.0, 2.5, 3.4)),
-    "coach": VehicleType("bus", (14.0, 2.6, 4.0)),
-    "tram": VehicleType("bus", (22.0, 2.4, 3.2)),
-    "truck": VehicleType("truck", (7.1, 2.4, 2.4)),
-    "trailer": VehicleType("truck", (16.5, 2.55, 4.0)),
-    "motorcycle": VehicleType("motorcycle", (2.2, 0.9, 1.5)),
-    "moped": VehicleType("motorcycle", (2.1, 0.78, 1.7)),
-    "bicycle": VehicleType("motorcycle", (1.6, 0.65, 1.7)),
-    "scooter": VehicleType("motorcycle", (1.2, 0.5, 1.7)),
-    **dict.fromkeys((*_ON_RAILS, *_ON_NO_ROAD), VehicleType(None, (1.0, 1.0, 1.0))),
-}
-"""By SUMO's vehicle class, of which nothing else is known; 5 m by default say nothing about a van, and a tram stands in
-the street as a bus does. Sizes: "Vehicle Type Parameter Defaults" of its documentation, as SUMO 1.28.0 tells them by
-TraCI."""
-_SHORT_FOR = {"VEH": "passenger", "BIKE": "bicycle", "PED": "pedestrian"}
-_BUILT_IN = {
-    f"DEFAULT_{name}TYPE": DEFAULT_TYPES[_SHORT_FOR.get(name, name.lower())]
-    for name in ("VEH", "TAXI", "BIKE", "PED", "CONTAINER", "RAIL")
-}
-# What a vehicle is drawn as, where a file says so, tells more than its class, which is often left at passenger.
-_DRAWN_AS = {
-    **dict.fromkeys(("passenger/sedan", "passenger/hatchback", "passenger/wagon", "police"), "car"),
-    **dict.fromkeys(("passenger/van", "delivery", "emergency"), "van"),
-    **dict.fromkeys(("truck", "truck/semitrailer", "truck/trailer", "firebrigade"), "truck"),
-    **dict.fromkeys(("bus", "bus/coach", "bus/flexible", "bus/trolley"), "bus"),
-    **dict.fromkeys(("motorcycle", "moped", "bicycle", "scooter"), "motorcycle"),
-}
-_SIZE = Column("more than 0, at most 1000 m", low=1e-9, high=1000.0)
-
-
-def read_types(path: str | Path) -> dict[str, VehicleType]:
-    """The types that a route or additional file defines, plain or gzip, also inside ``<vTypeDistribution>``.
-
-    What a type does not say has its class's default. A car that is given a length above `VAN_LONGER_THAN_M`, and more
-    length or height than its class has by default, is a van; its height, where not given, is that of NGSIM's vans.
-
-    Raises
-    ------
-    MissingFileError, InputError
-        If the file cannot be read as XML, defines no type or one twice, or gives one an unknown class or a size that is
-        none.
-    """
-    types: dict[str, VehicleType] = {}
-    for line, element, attributes in _start_tags(path):
-        if element == "vType":
-            name = attributes.get("id", "")
-            if not name or name in types:
-                text = f"{_short(name)!r} is there twice" if name else "without an id"
-                raise InputError(f"{path}:{line}: vType {text}")
-            types[name] = _read_type(attributes, line, f"{path}:")
-    if not types:
-        raise InputError(f"{path}: no <vType>; a route or additional file that defines the vehicles is needed")
-    return types
-
-
-def _read_type(attributes: Mapping[str, str], line: int, place: str) -> VehicleType:
-    vehicle_class = attributes.get("vClass", "passenger")
-    if vehicle_class not in DEFAULT_TYPES:
-        raise unknown_name(vehicle_class, DEFAULT_TYPES, "vClass", f"{place}{line}")
-    name, usual = DEFAULT_TYPES[vehicle_class]
-    size = dict(zip(("length", "width", "height"), usual, strict=True))
-    texts = {key: np.array([attributes[key]], dtype=object) for key in size if key in attributes}
-    given = {key: float(Rows(texts, [line], place).numbers(key, _SIZE)[0]) for key in texts}
-    drawn_as = _DRAWN_AS.get(attributes.get("guiShape", ""))
-    if name and drawn_as:
-        name = drawn_as
-    # The 5 m that most classes have by default are longer than many a van: alone they say nothing, written out or not.
-    is_larger = any(given.get(key, 0.0) > size[key] for key in ("length", "height"))
-    if name == "car" and not drawn_as and given.get("length", 0.0) > VAN_LONGER_THAN_M and is_larger:
-        name, size["height"] = "van", HEIGHTS_M["van"]
-    return VehicleType(name, tuple((size | given).values()))
-
-
-def _types(
-    names: Sequence[str], defined: Mapping[str, VehicleType] | None, where: str
-) -> tuple[list[VehicleType], list[str]]:
-    """The type behind each name: of those `defined`, or else assumed; and a note on what is assumed.
-
-    ``lorry@7``, the name of a type that vehicle 7 got for itself by TraCI, stands for ``lorry``. An error says `where`
-    the types are defined.
-    """
-    known = {**_BUILT_IN, **(DEFAULT_TYPES if defined is None else defined)}
-    found = [known.get(name) or known.get(name.split("@", 1)[0]) for name in names]
-    unknown = [name for name, kind in zip(names, found, strict=True) if kind is None]
-    if defined is None:
-        cars = f", a passenger car's for {listed([name or 'no type' for name in unknown])}" if unknown else ""
-        note = f"no vehicle_types: sizes are SUMO's defaults for the type's vehicle class{cars}"
-        return [kind or DEFAULT_TYPES["passenger"] for kind in found], [note]
-    if "" in unknown:
-        raise InputError(
-            f"{where}: vehicles have no type, so it cannot give their sizes; SUMO writes types unless "
-            "--fcd-output.attributes leaves them out: name type there, or do without vehicle_types"
-        )
-    if unknown:
-        raise unknown_name(unknown[0], defined, "type", where)
-    return found, []
 
 
 # --- Which frame an instant of SUMO's floating car data is: times are in the files, numbers are not -------

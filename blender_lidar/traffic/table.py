@@ -21,6 +21,8 @@ Spreadsheets may have written it: with semicolons, tabs and decimal commas, as U
 
 from __future__ import annotations
 
+import difflib
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -36,7 +38,6 @@ from .source import (
     fields_of,
     first_lines,
     known_names,
-    nearest_names,
     quoted,
     read_rows,
     vehicle_ids,
@@ -128,8 +129,22 @@ def read_table(
 
 def likeness(header: str) -> int:
     """How many of the needed columns a header has, or has something like."""
-    names = _names(header)[0]
-    return len(nearest_names(BOX_NEEDED, names, _WORDS))
+    return len(_nearest_names(BOX_NEEDED, _names(header)[0]))
+
+
+def _nearest_names(wanted: Iterable[str], present: Iterable[str]) -> dict[str, str]:
+    """Which of the `present` names of columns may be meant by those that are `wanted`, each for one at most.
+
+    One is if it has one of the `_WORDS` for a name in it, or is spelt much alike.
+    """
+    left, found = [name for name in present if name], {}
+    for name in wanted:
+        of_words = (one for one in left if _WORDS.get(name, set()) & set(re.split(r"[\W_]+", one.lower())))
+        near = next(of_words, None) or next(iter(difflib.get_close_matches(name, left, 1, 0.75)), None)
+        if near is not None:
+            found[name] = near
+            left.remove(near)
+    return found
 
 
 def _names(header: str) -> tuple[list[str], str | None]:
@@ -145,9 +160,9 @@ def _chunks(table: str | Path | Mapping) -> Iterable[Rows]:
         line, text = first_lines(table)[0]
         names, delimiter = _names(text)
         layout = TableLayout(names, delimiter, line + 1)
-        layout.check(BOX_NEEDED, OPTIONAL, f"{table}:{line}", _WORDS)
+        layout.check(BOX_NEEDED, OPTIONAL, f"{table}:{line}", _nearest_names)
         return read_rows(table, layout, BOX_COLUMNS, ["class", "vehicle_id"])
-    TableLayout(list(map(str, table)), None, 0).check(BOX_NEEDED, OPTIONAL, "boxes", _WORDS)
+    TableLayout(list(map(str, table)), None, 0).check(BOX_NEEDED, OPTIONAL, "boxes", _nearest_names)
     columns = {name: np.asarray(table[name]) for name in (*BOX_NEEDED, *OPTIONAL) if name in table}
     if len({column.shape for column in columns.values()}) > 1 or columns["frame"].ndim != 1:
         shapes = ", ".join(f"{name} {column.shape}" for name, column in columns.items())

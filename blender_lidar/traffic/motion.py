@@ -1,0 +1,166 @@
+"""Motion in a recording: headings and speeds of all rows, directions of travel, the place where most drive."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..road.road_map import wrap_angle
+from .tracks import central_velocity, held_heading
+from .vehicles import Recording
+
+ALONG_RAD = math.radians(15.0)  # of a direction, who drives along it
+_MOST_SAMPLES = 200_000
+_MOST_BINS = 2000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """The rows of a recording with their motion, by vehicle and time.
+
+    Attributes
+    ----------
+    vehicle, lane : ndarray, (n,)
+        Whose row it is, counted from 0, and the recording's lane; 0 where it names none.
+    xy, size : ndarray, (n, 2)
+        Place, and length and width [m].
+    heading, speed : ndarray, (n,)
+        Of the motion [rad, m/s]; a vehicle that never moves has the heading NaN.
+    """
+
+    vehicle: np.ndarray
+    xy: np.ndarray
+    heading: np.ndarray
+    speed: np.ndarray
+    size: np.ndarray
+    lane: np.ndarray
+
+    @classmethod
+    def of(cls, recording: Recording) -> Samples:
+        """Motion by central differences over about two seconds; where a vehicle stands its heading is held."""
+        order = np.lexsort((recording.frame, recording.vehicle_id))
+        vehicle = np.unique(recording.vehicle_id[order], return_inverse=True)[1].reshape(-1)
+        time_s = recording.frame_time_s[np.searchsorted(recording.frames, recording.frame[order])]
+        time_s = time_s - time_s.min()
+        xy = recording.centre_m[order, :2]
+        if (np.diff(vehicle) > 0).all():
+            raise InputError(f"{recording.source}: no road can be proposed: no vehicle is in more than one frame")
+        velocity = central_velocity(vehicle, time_s, xy)
+        heading, held = held_heading(vehicle, velocity, np.nan)
+        if np.isnan(heading).all():
+            raise InputError(f"{recording.source}: no road can be proposed: every vehicle stands")
+        speed = np.where(held, 0.0, np.hypot(*velocity.T))
+        return cls(vehicle, xy, heading, speed, recording.size_m[order, :2], recording.lane[order])
+
+    def mirrored(self) -> Samples:
+        """The same with y to the right of x."""
+        return replace(self, xy=self.xy * (1.0, -1.0), heading=-self.heading)
+
+    def where(self, which: np.ndarray | slice) -> Samples:
+        """Some of the rows."""
+        return Samples(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def thinned(self) -> Samples:
+        """At most `_MOST_SAMPLES` of them."""
+        return self.where(slice(None, None, max(1, -(-len(self.xy) // _MOST_SAMPLES))))
+
+    def off(self, direction: float) -> np.ndarray:
+        """Angle between each heading and a direction, (n,) [rad], without sign; NaN where there is no heading."""
+        return np.abs(wrap_angle(self.heading - direction))
+
+
+# --- Directions -------------------------------------------------------------------------------------------------------
+
+
+def turned(xy: np.ndarray, direction: float) -> tuple[np.ndarray, np.ndarray]:
+    """Along a direction, and across it to the left [m]."""
+    cos, sin = math.cos(direction), math.sin(direction)
+    return xy[:, 0] * cos + xy[:, 1] * sin, xy[:, 1] * cos - xy[:, 0] * sin
+
+
+def unturned(along: float, across: float, direction: float) -> np.ndarray:
+    """A vector, (2,) [m], by its parts along a direction and across it to the left."""
+    cos, sin = math.cos(direction), math.sin(direction)
+    return np.array([along * cos - across * sin, along * sin + across * cos])
+
+
+def directions(samples: Samples, follows_x: bool) -> list[float]:
+    """The directions that most is driven in, the busiest first [rad]: peaks of a circular histogram."""
+    if follows_x:
+        return [0.0]
+    moving = samples.speed > 0.0
+    weight = np.histogram(
+        np.degrees(samples.heading[moving]) % 360.0, 360, (0.0, 360.0), weights=samples.speed[moving]
+    )[0]
+    kernel = np.exp(-0.5 * (np.arange(-12, 13) / 4.0) ** 2)
+    smooth = np.convolve(np.concatenate([weight[-12:], weight, weight[:12]]), kernel / kernel.sum(), "valid")
+    found, left = [], smooth.copy()
+    while len(found) < 8 and left.max() > 0.1 * smooth.max():
+        peak = int(left.argmax())
+        if smooth[peak] >= max(smooth[peak - 1], smooth[(peak + 1) % 360]):
+            found.append(math.radians(peak + 0.5))
+        left[np.arange(peak - 20, peak + 21) % 360] = 0.0
+    return found
+
+
+def sharpest(near: Samples, place: np.ndarray, direction: float) -> float:
+    """The direction along which lanes are sharpest: where a histogram of what lies across has the largest squares."""
+    for reach_deg, step_deg in ((8.0, 0.5), (0.5, 0.05)):
+        candidates = direction + np.radians(np.arange(-reach_deg, reach_deg + step_deg / 2, step_deg))
+        sharpness = []
+        for candidate in candidates:
+            across = turned(near.xy - place, candidate)[1]
+            counts = np.bincount(((across + 60.0) / 0.3).astype(int), weights=near.speed)
+            sharpness.append((np.convolve(counts, [0.25, 0.5, 0.25]) ** 2).sum())
+        best = np.array(sharpness)
+        direction = float(candidates[best >= best.max() * (1.0 - 1e-9)].mean())
+    return math.radians(round(math.degrees(wrap_angle(direction)), 2))
+
+
+# --- Places -----------------------------------------------------------------------------------------------------------
+
+
+def busiest_place(everything: Samples, direction: float) -> np.ndarray:
+    """Where most drive in about a direction, (2,) [m]."""
+    along = everything.where(everything.off(direction) <= ALONG_RAD).thinned()
+    if not len(along.xy):
+        return np.full(2, np.nan)
+    middle = along.xy.mean(axis=0)
+    u, v = turned(along.xy - middle, direction)
+    return middle + unturned(*_busiest(u, v, along.speed), direction)
+
+
+def _busiest(u: np.ndarray, v: np.ndarray, speed: np.ndarray) -> tuple[float, float]:
+    """Middle of the 100 m by 20 m through which most drive, along and across [m]; found coarsely first where far."""
+    steps, windows = np.array([10.0, 4.0]), (10, 5)
+    while True:
+        low, high = np.array([u.min(), v.min()]), np.array([u.max(), v.max()])
+        counts = np.minimum(_MOST_BINS, np.ceil((high - low) / steps) + 1).astype(int)
+        size = np.maximum(steps, (high - low) * (1.0 + 1e-9) / counts)
+        flow = np.histogram2d(u, v, counts, np.transpose([low, low + counts * size]), weights=speed)[0]
+        for axis, window in enumerate(windows):
+            flow = windowed(flow, window, axis)
+        u0, v0 = low + (np.array(np.unravel_index(flow.argmax(), flow.shape)) + 0.5) * size
+        if (size == steps).all():
+            return float(u0), float(v0)
+        reach = 0.5 * (np.array(windows) + 1) * size
+        inside = (np.abs(u - u0) <= reach[0]) & (np.abs(v - v0) <= reach[1])
+        u, v, speed = u[inside], v[inside], speed[inside]
+
+
+def windowed(values: np.ndarray, window: int, axis: int = 0) -> np.ndarray:
+    """Moving sums over a window about each place; beyond the ends there is nothing."""
+    running = np.insert(np.cumsum(values, axis=axis), 0, 0.0, axis=axis)
+    here = np.arange(values.shape[axis])
+    high = np.minimum(here + window // 2 + 1, len(here))
+    return np.take(running, high, axis) - np.take(running, np.maximum(here - window // 2, 0), axis)
+
+
+def near_place(everything: Samples, place: np.ndarray, direction: float, half_m: float) -> Samples:
+    """Those that drive along the stretch about a place; a longer one where the file follows the road's bends."""
+    u, v = turned(everything.xy - place, direction)
+    here = (np.abs(u) <= half_m) & (np.abs(v) <= 25.0) & (everything.off(direction) <= ALONG_RAD)
+    return everything.where(here & (everything.speed > 0.0)).thinned()

@@ -1,0 +1,164 @@
+"""SUMO's vehicle types: classes, default sizes, and the files that define others; its XML, streamed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+from xml.parsers import expat
+
+import numpy as np
+
+from ..errors import InputError, unknown_name
+from .source import Column, Rows, listed, open_bytes, short
+from .vehicles import HEIGHTS_M, VAN_LONGER_THAN_M
+
+_BLOCK_BYTES = 2**18
+
+
+def start_tags(path: str | Path) -> Iterator[tuple[int, str, dict[str, str]]]:
+    """The start tags of an XML file, plain or gzip: line (from 1), name and attributes of each.
+
+    They are streamed: nothing is built, so that memory does not grow with the file.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        As `open_bytes`; and if the file is not well-formed XML, or declares an encoding that cannot be read.
+    """
+    tags: list[tuple[int, str, dict[str, str]]] = []
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = lambda name, attributes: tags.append((parser.CurrentLineNumber, name, attributes))
+    with open_bytes(path) as stream:
+        block = b"more"
+        while block:
+            block = stream.read(_BLOCK_BYTES)
+            try:
+                parser.Parse(block, not block)
+            except (expat.ExpatError, LookupError, ValueError) as error:  # the latter two of encodings
+                line = parser.ErrorLineNumber
+                raise InputError(f"{path}:{line}: truncated or damaged XML ({error})") from error
+            yield from tags
+            tags.clear()
+
+
+# --- Classes and sizes: a recording names a type, whose size stands in a route or additional file ---------------------
+
+
+class VehicleType(NamedTuple):
+    """What a name in the column ``type`` stands for.
+
+    Attributes
+    ----------
+    class_name : str or None
+        Ours; None for what is no vehicle on a road.
+    size_m : (float, float, float)
+        Length, width and height [m]; of no account for what is on no road.
+    """
+
+    class_name: str | None
+    size_m: tuple[float, float, float]
+
+
+_CARS = ("ignoring", "private", "authority", "army", "vip", "passenger", "hov", "taxi", "evehicle")
+_ON_RAILS = ("rail_urban", "subway", "rail", "rail_electric", "rail_fast", "cable_car")
+_ON_NO_ROAD = ("pedestrian", "wheelchair", "container", "ship", "aircraft", "drone")
+DEFAULT_TYPES = {
+    **dict.fromkeys((*_CARS, "custom1", "custom2"), VehicleType("car", (5.0, 1.8, 1.5))),
+    **dict.fromkeys(("emergency", "delivery"), VehicleType("van", (6.5, 2.16, 2.86))),
+    "bus": VehicleType("bus", (12.0, 2.5, 3.4)),
+    "coach": VehicleType("bus", (14.0, 2.6, 4.0)),
+    "tram": VehicleType("bus", (22.0, 2.4, 3.2)),
+    "truck": VehicleType("truck", (7.1, 2.4, 2.4)),
+    "trailer": VehicleType("truck", (16.5, 2.55, 4.0)),
+    "motorcycle": VehicleType("motorcycle", (2.2, 0.9, 1.5)),
+    "moped": VehicleType("motorcycle", (2.1, 0.78, 1.7)),
+    "bicycle": VehicleType("motorcycle", (1.6, 0.65, 1.7)),
+    "scooter": VehicleType("motorcycle", (1.2, 0.5, 1.7)),
+    **dict.fromkeys((*_ON_RAILS, *_ON_NO_ROAD), VehicleType(None, (1.0, 1.0, 1.0))),
+}
+"""By SUMO's vehicle class, of which nothing else is known; 5 m by default say nothing about a van, and a tram stands in
+the street as a bus does. Sizes: "Vehicle Type Parameter Defaults" of its documentation, as SUMO 1.28.0 tells them by
+TraCI."""
+_SHORT_FOR = {"VEH": "passenger", "BIKE": "bicycle", "PED": "pedestrian"}
+_BUILT_IN = {
+    f"DEFAULT_{name}TYPE": DEFAULT_TYPES[_SHORT_FOR.get(name, name.lower())]
+    for name in ("VEH", "TAXI", "BIKE", "PED", "CONTAINER", "RAIL")
+}
+# What a vehicle is drawn as, where a file says so, tells more than its class, which is often left at passenger.
+_DRAWN_AS = {
+    **dict.fromkeys(("passenger/sedan", "passenger/hatchback", "passenger/wagon", "police"), "car"),
+    **dict.fromkeys(("passenger/van", "delivery", "emergency"), "van"),
+    **dict.fromkeys(("truck", "truck/semitrailer", "truck/trailer", "firebrigade"), "truck"),
+    **dict.fromkeys(("bus", "bus/coach", "bus/flexible", "bus/trolley"), "bus"),
+    **dict.fromkeys(("motorcycle", "moped", "bicycle", "scooter"), "motorcycle"),
+}
+_SIZE = Column("more than 0, at most 1000 m", low=1e-9, high=1000.0)
+
+
+def read_types(path: str | Path) -> dict[str, VehicleType]:
+    """The types that a route or additional file defines, plain or gzip, also inside ``<vTypeDistribution>``.
+
+    What a type does not say has its class's default. A car that is given a length above `VAN_LONGER_THAN_M`, and more
+    length or height than its class has by default, is a van; its height, where not given, is that of NGSIM's vans.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        If the file cannot be read as XML, defines no type or one twice, or gives one an unknown class or a size that is
+        none.
+    """
+    types: dict[str, VehicleType] = {}
+    for line, element, attributes in start_tags(path):
+        if element == "vType":
+            name = attributes.get("id", "")
+            if not name or name in types:
+                text = f"{short(name)!r} is there twice" if name else "without an id"
+                raise InputError(f"{path}:{line}: vType {text}")
+            types[name] = _read_type(attributes, line, f"{path}:")
+    if not types:
+        raise InputError(f"{path}: no <vType>; a route or additional file that defines the vehicles is needed")
+    return types
+
+
+def _read_type(attributes: Mapping[str, str], line: int, place: str) -> VehicleType:
+    vehicle_class = attributes.get("vClass", "passenger")
+    if vehicle_class not in DEFAULT_TYPES:
+        raise unknown_name(vehicle_class, DEFAULT_TYPES, "vClass", f"{place}{line}")
+    name, usual = DEFAULT_TYPES[vehicle_class]
+    size = dict(zip(("length", "width", "height"), usual, strict=True))
+    texts = {key: np.array([attributes[key]], dtype=object) for key in size if key in attributes}
+    given = {key: float(Rows(texts, [line], place).numbers(key, _SIZE)[0]) for key in texts}
+    drawn_as = _DRAWN_AS.get(attributes.get("guiShape", ""))
+    if name and drawn_as:
+        name = drawn_as
+    # The 5 m that most classes have by default are longer than many a van: alone they say nothing, written out or not.
+    is_larger = any(given.get(key, 0.0) > size[key] for key in ("length", "height"))
+    if name == "car" and not drawn_as and given.get("length", 0.0) > VAN_LONGER_THAN_M and is_larger:
+        name, size["height"] = "van", HEIGHTS_M["van"]
+    return VehicleType(name, tuple((size | given).values()))
+
+
+def types_of(
+    names: Sequence[str], defined: Mapping[str, VehicleType] | None, where: str
+) -> tuple[list[VehicleType], list[str]]:
+    """The type behind each name: of those `defined`, or else assumed; and a note on what is assumed.
+
+    ``lorry@7``, the name of a type that vehicle 7 got for itself by TraCI, stands for ``lorry``. An error says `where`
+    the types are defined.
+    """
+    known = {**_BUILT_IN, **(DEFAULT_TYPES if defined is None else defined)}
+    found = [known.get(name) or known.get(name.split("@", 1)[0]) for name in names]
+    unknown = [name for name, kind in zip(names, found, strict=True) if kind is None]
+    if defined is None:
+        cars = f", a passenger car's for {listed([name or 'no type' for name in unknown])}" if unknown else ""
+        note = f"no vehicle_types: sizes are SUMO's defaults for the type's vehicle class{cars}"
+        return [kind or DEFAULT_TYPES["passenger"] for kind in found], [note]
+    if "" in unknown:
+        raise InputError(
+            f"{where}: vehicles have no type, so it cannot give their sizes; SUMO writes types unless "
+            "--fcd-output.attributes leaves them out: name type there, or do without vehicle_types"
+        )
+    if unknown:
+        raise unknown_name(unknown[0], defined, "type", where)
+    return found, []
