@@ -299,7 +299,7 @@ def test_a_site_that_cannot_be_read_is_refused_in_one_line(tmp_path):
 def test_an_animation_shows_each_frame_at_its_time(scene):
     frames = [dense_traffic(vehicles=count, length_m=90.0, seed=seed) for seed, count in ((1, 12), (2, 14), (3, 9))]
     frames = [_renumbered(vehicles, 10 + 5 * row) for row, vehicles in enumerate(frames)]
-    animate(scene, frames, time_step_s=0.1, fps=20)
+    animate(scene, frames, time_step_s=10 / 24 / 5)  # ten pictures from one to the next
     assert (scene.frame_start, scene.frame_end) == (1, 21)
     for row, vehicles in enumerate(frames):
         scene.frame_set(1 + 10 * row)

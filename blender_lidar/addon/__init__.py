@@ -1,6 +1,7 @@
 """The add-on: LiDARs as objects of Blender, and a tab in the sidebar to scan, score and place them.
 
-Each module has its `classes`, and where it needs more `register` and `unregister`.
+Each module has its `classes`, and where it needs more `register`, `unregister`, and `HANDLERS` by their names in
+`bpy.app.handlers`.
 """
 
 import atexit
@@ -30,6 +31,8 @@ def register() -> None:
         for made in module.classes:
             bpy.utils.register_class(made)
         _registered.append(module)
+        for event, call in getattr(module, "HANDLERS", {}).items():
+            getattr(bpy.app.handlers, event).append(call)
         if hasattr(module, "register"):
             module.register()
 
@@ -39,6 +42,9 @@ def unregister() -> None:
     atexit.unregister(unregister)
     while _registered:
         module = _registered.pop()
+        for event, call in getattr(module, "HANDLERS", {}).items():
+            if call in getattr(bpy.app.handlers, event):
+                getattr(bpy.app.handlers, event).remove(call)
         if hasattr(module, "unregister"):
             module.unregister()
         for made in reversed(module.classes):

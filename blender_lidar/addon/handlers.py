@@ -58,13 +58,11 @@ def on_change(block: bpy.types.ID, table: str) -> None:
         group.problem = str(error)
 
 
-_HANDLERS = {"load_post": on_load, "depsgraph_update_post": on_update}
+HANDLERS = {"load_post": on_load, "depsgraph_update_post": on_update}
 
 
 def register() -> None:
     """Listen."""
-    for name, call in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(call)
     properties.ON_CHANGE.append(on_change)
     if not bpy.app.background:  # data cannot be read while add-ons are enabled at the start
         bpy.app.timers.register(adopt_all, first_interval=0.1)
@@ -73,9 +71,6 @@ def register() -> None:
 def unregister() -> None:
     """Listen no more."""
     properties.ON_CHANGE.remove(on_change)
-    for name, call in _HANDLERS.items():
-        if call in getattr(bpy.app.handlers, name):
-            getattr(bpy.app.handlers, name).remove(call)
     if bpy.app.timers.is_registered(adopt_all):
         bpy.app.timers.unregister(adopt_all)
     session.forget()

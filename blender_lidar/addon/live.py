@@ -273,7 +273,7 @@ def _soon() -> None:
         bpy.app.timers.register(update, first_interval=_PAUSE_S)
 
 
-_HANDLERS = {
+HANDLERS = {
     "depsgraph_update_post": on_update,
     "frame_change_post": on_other_time,
     "undo_post": on_other_time,
@@ -284,17 +284,12 @@ _HANDLERS = {
 
 def register() -> None:
     """Listen."""
-    for name, call in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(call)
     properties.ON_CHANGE.append(on_change)
 
 
 def unregister() -> None:
     """Listen and draw no more."""
     properties.ON_CHANGE.remove(on_change)
-    for name, call in _HANDLERS.items():
-        if call in getattr(bpy.app.handlers, name):
-            getattr(bpy.app.handlers, name).remove(call)
     on_load()
     if bpy.app.timers.is_registered(update):
         bpy.app.timers.unregister(update)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...names import KINDS
 from ...traffic.boxes import DetectedBoxes
+from ..triangles import place
 from .objects import (
     DETECTION_ROLE,
     add_attribute,
@@ -78,9 +79,7 @@ def animate_detections(
 
 
 def _new_boxes(into, name, boxes):
-    cos, sin, zero = np.cos(boxes.heading_rad), np.sin(boxes.heading_rad), np.zeros(len(boxes.heading_rad))
-    turn = np.array([(cos, sin, zero), (-sin, cos, zero), (zero, zero, zero + 1.0)]).transpose(2, 0, 1)  # of rows
-    vertices = boxes.centre_m[:, None] + (boxes.size_m[:, None] * _VERTICES) @ turn
+    vertices = place(_VERTICES, boxes.centre_m, boxes.size_m, boxes.heading_rad)
     first = len(_VERTICES) * np.arange(len(vertices))
     mesh = new_mesh(
         name,

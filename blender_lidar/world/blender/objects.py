@@ -74,8 +74,12 @@ def only_for_the_eye(item: bpy.types.Object) -> None:
 
 
 def clear(from_collection: bpy.types.Collection) -> None:
-    """Remove our objects from a collection, and the meshes, curves, cameras and lights that nothing else uses then."""
-    objects = [item for item in from_collection.objects if role(item) is not None]
+    """Remove our objects from a collection."""
+    _remove([item for item in from_collection.objects if role(item) is not None])
+
+
+def _remove(objects: Sequence[bpy.types.Object]) -> None:
+    """Remove objects, and the meshes, curves, cameras and lights that nothing else uses then."""
     data = {item.data for item in objects if item.data is not None}
     bpy.data.batch_remove(objects)
     bpy.data.batch_remove([item for item in data if item.users == 0])
@@ -298,10 +302,7 @@ def dress(lidar: bpy.types.Object, lattice: BeamLattice) -> None:
 
     They are its children, in its collections, and take the place of earlier ones.
     """
-    worn = [child for child in lidar.children if role(child) in (PART, FAN)]
-    data = {child.data for child in worn}
-    bpy.data.batch_remove(worn)
-    bpy.data.batch_remove([item for item in data if item.users == 0])
+    _remove([child for child in lidar.children if role(child) in (PART, FAN)])
     into, half = lidar.users_collection[0], 0.5 * _HEAD_HEIGHT_M
     head = add_object(into, "Head", _cylinder("Head", _HEAD_RADIUS_M, -half, half, plain("Head", HEAD)), PART)
     metal = plain("Pole", METAL, roughness=0.4)
@@ -309,12 +310,10 @@ def dress(lidar: bpy.types.Object, lattice: BeamLattice) -> None:
     upright = pole.constraints.new("LIMIT_ROTATION")
     upright.use_limit_x = upright.use_limit_y = True
     length = pole.driver_add("scale", 2).driver  # from below the head down to z = 0
-    height = length.variables.new()
-    height.name, height.type = "height", "TRANSFORMS"
-    height.targets[0].id, height.targets[0].transform_type = lidar, "LOC_Z"
-    scale = length.variables.new()
-    scale.name, scale.type = "scale", "TRANSFORMS"
-    scale.targets[0].id, scale.targets[0].transform_type = lidar, "SCALE_Z"
+    for name, transform in (("height", "LOC_Z"), ("scale", "SCALE_Z")):
+        variable = length.variables.new()
+        variable.name, variable.type = name, "TRANSFORMS"
+        variable.targets[0].id, variable.targets[0].transform_type = lidar, transform
     length.expression = "max(height, 0.001) / max(scale, 0.001)"
     fan = add_object(into, "Beam fan", _fan(lattice), FAN)
     for child in (head, pole, fan):
@@ -350,10 +349,7 @@ def orphans(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def remove_orphans(scene: bpy.types.Scene) -> None:
     """Remove heads, poles, fans and clouds whose LiDAR was deleted."""
-    gone = [item for item in orphans(scene) if item.library is None]
-    data = {item.data for item in gone}
-    bpy.data.batch_remove(gone)
-    bpy.data.batch_remove([item for item in data if item.users == 0])
+    _remove([item for item in orphans(scene) if item.library is None])
 
 
 def hang(lidar: bpy.types.Object, pose: Pose) -> None:

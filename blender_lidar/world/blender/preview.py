@@ -56,14 +56,10 @@ class VisibleObjects:
     def refresh(self, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> int:
         """Look where the visible objects of a scene are now, evaluated just before; the number of their faces."""
         meshes, self._placed = {}, []
-        unit_m = scene.unit_settings.scale_length
-        for instance in visible_instances(scene, depsgraph, is_own):
-            item = instance.object
+        for item, turn, move in visible_instances(scene, depsgraph, is_own):
             key = item.data.as_pointer()
             if key not in meshes:
                 meshes[key] = self._meshes.get(key) or _mesh_of(item, depsgraph)
-            matrix = np.array(instance.matrix_world, dtype=float)
-            turn, move = unit_m * matrix[:3, :3].T, unit_m * matrix[:3, 3]
             if len(meshes[key].surface) and abs(np.linalg.det(turn)) > 0.0:
                 self._placed.append((meshes[key], turn, move))
         self._meshes = meshes

@@ -57,10 +57,11 @@ def build_stage(scene: bpy.types.Scene, road: RoadMap, pose: Pose, depth_m: floa
 
     Parameters
     ----------
+    road : RoadMap
     pose : Pose
         The mounting: one camera sees it from above, obliquely, the other looks across the road from just over it.
     depth_m : float
-        How much of the road the camera above takes in, along x, at the far edge of the carriageway [m].
+        How much of the road the camera above takes in, along it, at the far edge of the carriageway [m].
     """
     into = collection(scene, "Cameras and light", STAGE)
     clear(into)

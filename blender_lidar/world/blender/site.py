@@ -94,15 +94,11 @@ def visible_triangles(
     layer = layer or scene.view_layers[0]
     layer.update()
     meshes, parts = {}, []
-    unit_m = scene.unit_settings.scale_length
-    for instance in visible_instances(scene, layer.depsgraph, lambda item: not skip(item)):
-        item = instance.object
+    for item, turn, move in visible_instances(scene, layer.depsgraph, lambda item: not skip(item)):
         key = item.data.as_pointer()
         if key not in meshes:
             meshes[key] = arrays_of(item.data)
         vertices, faces, surface, box = meshes[key]
-        matrix = np.array(instance.matrix_world, dtype=float)
-        turn, move = unit_m * matrix[:3, :3].T, unit_m * matrix[:3, 3]
         if len(faces) == 0 or not keep(box @ turn + move):
             continue
         if np.linalg.det(turn) < 0.0:  # a mirror turns faces inside out
@@ -112,7 +108,7 @@ def visible_triangles(
     return join(parts)
 
 
-def open_scenery(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, keep: Keep = lambda box: True) -> Scenery:
+def open_scenery(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Scenery:
     """The visible objects of the user's in a scene that is open, as exact triangles: `visible_triangles` less ours.
 
     Raises
@@ -120,7 +116,7 @@ def open_scenery(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, keep: Keep 
     InputError
         If a vertex is not finite.
     """
-    found = visible_triangles(scene, lambda item: not is_own(item), keep, layer)
+    found = visible_triangles(scene, lambda item: not is_own(item), layer=layer)
     if not np.isfinite(found.corners).all():
         row = int(np.flatnonzero(~np.isfinite(found.corners).all(axis=(1, 2)))[0])
         raise InputError(f"{found.names[found.owner[row]]!r}: has a vertex that is not finite")
@@ -134,13 +130,17 @@ def is_own(item: bpy.types.Object) -> bool:
 
 def visible_instances(
     scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, wanted: Callable[[bpy.types.Object], bool]
-) -> Iterator[bpy.types.DepsgraphObjectInstance]:
-    """What `visible_triangles` takes of an evaluated scene, one by one; each is gone when the next comes."""
-    rendered = set(_rendered_objects(scene.collection))
+) -> Iterator[tuple[bpy.types.Object, np.ndarray, np.ndarray]]:
+    """What `visible_triangles` takes of an evaluated scene, one by one; each is gone when the next comes.
+
+    With each, what takes its points, as rows, into the scene's frame: ``points @ turn + move`` [m].
+    """
+    rendered, unit_m = set(_rendered_objects(scene.collection)), scene.unit_settings.scale_length
     for instance in depsgraph.object_instances:
         item = instance.object
         if item.type == "MESH" and role(item) not in DISPLAY_ONLY and wanted(item) and _is_seen(instance, rendered):
-            yield instance
+            matrix = np.array(instance.matrix_world, dtype=float)
+            yield item, unit_m * matrix[:3, :3].T, unit_m * matrix[:3, 3]
 
 
 def _rendered_objects(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:

@@ -26,6 +26,8 @@ from .objects import (
 )
 from .points import colours_of
 
+_FPS = 24  # pictures per second of an animation
+
 
 def show_vehicles(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "body") -> list[bpy.types.Object]:
     """Let the scene's vehicles be those of a frame.
@@ -63,9 +65,7 @@ def colour_vehicles(items: Iterable[bpy.types.Object], entropy_bits: np.ndarray 
         item.color = (*colour, 1.0)
 
 
-def animate(
-    scene: bpy.types.Scene, frames: Sequence[Vehicles], detail: str = "body", *, time_step_s: float, fps: int = 24
-) -> None:
+def animate(scene: bpy.types.Scene, frames: Sequence[Vehicles], detail: str = "body", *, time_step_s: float) -> None:
     """Let the scene's vehicles drive through several frames of a recording, played at true speed.
 
     Vehicles are shown from the first to the last of the frames that they are in, and move evenly in between.
@@ -76,17 +76,15 @@ def animate(
         In the order of time.
     time_step_s : float
         Time between consecutive frame numbers [s].
-    fps : int
-        Pictures per second of the animation.
     """
     show_vehicles(scene, frames[0].select(np.zeros(len(frames[0]), dtype=bool)), detail)
     into = collection(scene, "Vehicles", VEHICLE)
     moving: dict[str, bpy.types.Object] = {}
     last_seen: dict[str, float] = {}
     start = frames[0].frame
-    scene.render.fps, scene.frame_start = fps, 1
+    scene.render.fps, scene.frame_start = _FPS, 1
     for vehicles in frames:
-        at = shown_at(vehicles.frame, start, time_step_s, fps)
+        at = shown_at(vehicles.frame, start, time_step_s, _FPS)
         for (vehicle_id, name), centre, size, heading in _rows(vehicles):
             item = moving.get(vehicle_id)
             if item is None:
