@@ -75,7 +75,7 @@ _KINDS = (*CLASSES, "long_truck")
 _LENGTHS_M = (3.5, 5.5)  # between which heights go with lengths
 
 
-def kind_of(vehicle_class: str, length_m: float) -> str:
+def fleet_kind(vehicle_class: str, length_m: float) -> str:
     """Kind of a vehicle: its class, and for trucks whether they are articulated."""
     if vehicle_class == "truck" and length_m >= LONG_TRUCK_M:
         return "long_truck"

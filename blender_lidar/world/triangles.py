@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import InputError
-from ..traffic.fleet import BODIES, FLEET, kind_of
+from ..traffic.fleet import BODIES, FLEET, fleet_kind
 from ..traffic.vehicles import Vehicles
-from .meshes import Shape
 from .shapes import shape
 
 STATIC = -1  # owner of what belongs to no vehicle
@@ -39,10 +37,8 @@ class Triangles:
         return len(self.corners)
 
 
-def vehicle_triangles(vehicles: Vehicles, detail: str = "body", made: Callable[[str, str], Shape] = shape) -> Triangles:
-    """Every vehicle of a frame as triangles at the level of detail `detail` of `shapes.DETAILS`.
-
-    `made` gives the shape of a name and a level of detail; an experiment may put others in place of `shapes.shape`.
+def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
+    """Every vehicle of a frame as triangles at the level of detail `detail` of `names.DETAILS`.
 
     Raises
     ------
@@ -54,7 +50,7 @@ def vehicle_triangles(vehicles: Vehicles, detail: str = "body", made: Callable[[
     corners, owner, surface = [np.empty((0, 3, 3))], [np.empty(0, np.int32)], [np.empty(0, np.uint8)]
     for name in sorted(set(names.tolist())):
         rows = np.flatnonzero(names == name)
-        unit = made(name, detail)
+        unit = shape(name, detail)
         placed = place(unit.vertices, vehicles.centre_m[rows], vehicles.size_m[rows], vehicles.heading_rad[rows])
         corners.append(placed[:, unit.faces].reshape(-1, 3, 3))
         owner.append(np.repeat(rows.astype(np.int32), len(unit.faces)))
@@ -79,7 +75,7 @@ def shape_names(vehicles: Vehicles) -> np.ndarray:
     """Name of the shape of each vehicle, (n,) str."""
     bodies = [0] * len(vehicles) if vehicles.body is None else vehicles.body.tolist()
     each = zip(vehicles.class_name.tolist(), vehicles.size_m[:, 0].tolist(), bodies, strict=True)
-    usual = (BODIES[body - 1] if body else FLEET[kind_of(name, length)][0].name for name, length, body in each)
+    usual = (BODIES[body - 1] if body else FLEET[fleet_kind(name, length)][0].name for name, length, body in each)
     return np.array(list(usual), dtype=str)
 
 
