@@ -11,7 +11,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ..casting import resolve
 from ..clouds.files import SUSTECHPOINTS_PARTS, write_cloud, write_sustechpoints
-from ..clouds.snapshot import MountedSensor, entropy_of_vehicles, vertices_of
+from ..clouds.snapshot import MountedSensor, entropy_of_vehicles, mounted_sensor, vertices_of
 from ..errors import BlenderLidarError, InputError
 from ..files import check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
@@ -335,9 +335,7 @@ class LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
 def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Vehicles]:
     """The active LiDAR as the command line's `scan` has it, and the frame that is shown."""
     scenario, mounting, vehicles = _checked(scene, session.needed_lidar(scene))
-    caster = resolve(scenario.model.caster, "caster")
-    scenery = standing_scenery(scenario, caster, [mounting], open_scenery(scene, bpy.context.view_layer))
-    return MountedSensor(scenario, mounting, lattice_of(scenario.sensor), caster, scenery), vehicles
+    return mounted_sensor(scenario, mounting, open_scenery(scene, bpy.context.view_layer)), vehicles
 
 
 class LIDAR_OT_export_cloud(NeedsTraffic, bpy.types.Operator, ExportHelper):

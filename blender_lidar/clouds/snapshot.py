@@ -21,6 +21,7 @@ from ..sensors.beams import BeamLattice
 from ..traffic.boxes import DetectedBoxes
 from ..traffic.vehicles import Vehicles
 from ..world.needs_blender import blender_room
+from ..world.scenery import Scenery
 from .scan import PointCloud, scan
 
 if TYPE_CHECKING:
@@ -101,12 +102,11 @@ class MountedSensor:
         )
 
 
-def mounted_sensor(scenario: Scenario, mounting: Mounting) -> MountedSensor:
-    """The scene's sensor at a mounting."""
-    caster = resolve(scenario.model.caster)
-    return MountedSensor(
-        scenario, mounting, lattice_of(scenario.sensor), caster, standing_scenery(scenario, caster, [mounting])
-    )
+def mounted_sensor(scenario: Scenario, mounting: Mounting, more: Scenery | None = None) -> MountedSensor:
+    """The scene's sensor at a mounting; `more` stands there besides what [world] says."""
+    caster = resolve(scenario.model.caster, "caster")
+    scenery = standing_scenery(scenario, caster, [mounting], more)
+    return MountedSensor(scenario, mounting, lattice_of(scenario.sensor), caster, scenery)
 
 
 def vertices_of(cloud: PointCloud, vehicles: Vehicles, entropy_bits: np.ndarray) -> dict[str, np.ndarray]:
