@@ -19,7 +19,7 @@ WALL = np.array([(-30.0, 1.0, 0.0), (30.0, 1.0, 0.0), (30.0, 1.0, 5.0), (-30.0, 
 @pytest.fixture
 def lidar(tmp_path):
     """A LiDAR beside the small scene's road, with the add-on; nothing of which may stay registered."""
-    handlers = {name: list(getattr(bpy.app.handlers, name)) for name in live.HANDLERS}
+    handlers = {name: list(getattr(bpy.app.handlers, name)) for name in live.app_handlers}
     bpy.ops.wm.read_homefile(use_empty=True)
     addon.register()
     try:
@@ -32,7 +32,7 @@ def lidar(tmp_path):
     finally:
         addon.unregister()
         bpy.ops.wm.read_homefile(use_empty=True)
-    assert {name: list(getattr(bpy.app.handlers, name)) for name in live.HANDLERS} == handlers
+    assert {name: list(getattr(bpy.app.handlers, name)) for name in live.app_handlers} == handlers
     assert not live._state.shown
 
 

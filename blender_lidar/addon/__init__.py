@@ -1,6 +1,6 @@
 """The add-on: LiDARs as objects of Blender, and a tab in the sidebar to scan, score and place them.
 
-Each module has its `classes`, and where it needs more `register`, `unregister`, and `HANDLERS` by their names in
+Each module has its `classes`, and where it needs more `register`, `unregister`, and `app_handlers` by their names in
 `bpy.app.handlers`.
 """
 
@@ -31,7 +31,7 @@ def register() -> None:
         for made in module.classes:
             bpy.utils.register_class(made)
         _registered.append(module)
-        for event, call in getattr(module, "HANDLERS", {}).items():
+        for event, call in getattr(module, "app_handlers", {}).items():
             getattr(bpy.app.handlers, event).append(call)
         if hasattr(module, "register"):
             module.register()
@@ -42,7 +42,7 @@ def unregister() -> None:
     atexit.unregister(unregister)
     while _registered:
         module = _registered.pop()
-        for event, call in getattr(module, "HANDLERS", {}).items():
+        for event, call in getattr(module, "app_handlers", {}).items():
             if call in getattr(bpy.app.handlers, event):
                 getattr(bpy.app.handlers, event).remove(call)
         if hasattr(module, "unregister"):

@@ -58,7 +58,7 @@ def on_change(block: bpy.types.ID, table: str) -> None:
         group.problem = str(error)
 
 
-HANDLERS = {"load_post": on_load, "depsgraph_update_post": on_update}
+app_handlers = {"load_post": on_load, "depsgraph_update_post": on_update}
 
 
 def register() -> None:

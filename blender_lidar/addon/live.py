@@ -273,7 +273,7 @@ def _soon() -> None:
         bpy.app.timers.register(update, first_interval=_PAUSE_S)
 
 
-HANDLERS = {
+app_handlers = {
     "depsgraph_update_post": on_update,
     "frame_change_post": on_other_time,
     "undo_post": on_other_time,

@@ -18,7 +18,7 @@ from ..names import SIDES
 from ..road import StraightRoad
 from ..road.road_map import wrap_angle
 from .lanes import FEW, FEWEST_ON_A_ROAD, ONE_CARRIAGEWAY_M, Lanes, lanes_across
-from .motion import ALONG_RAD, Samples, busiest_place, directions, near_place, sharpest, turned, unturned, windowed
+from .motion import SAME_WAY_RAD, Samples, busiest_place, directions, near_place, sharpest, turned, unturned, windowed
 from .vehicles import Placing, Recording
 
 HALF_STRETCH_M = 50.0
@@ -225,7 +225,7 @@ def _oncoming(
     u, v = turned(everything.xy - place, direction)
     beyond = v - lanes.left_m if side == SIDES[1] else lanes.right_m - v
     here = (np.abs(u) <= half_m) & (beyond > -_OVER_THE_LINE_M) & (beyond <= _OTHER_WAY_M)
-    rows = np.flatnonzero(here & (everything.off(direction + math.pi) <= ALONG_RAD) & (everything.speed > 0.0))
+    rows = np.flatnonzero(here & (everything.off(direction + math.pi) <= SAME_WAY_RAD) & (everything.speed > 0.0))
     rows = rows[np.argsort(beyond[rows], kind="stable")]
     groups = np.split(rows, 1 + np.flatnonzero(np.diff(beyond[rows]) > ONE_CARRIAGEWAY_M))
     many = (group for group in groups if len(np.unique(everything.vehicle[group])) >= FEWEST_ON_A_ROAD)

@@ -12,7 +12,7 @@ from ..road.road_map import wrap_angle
 from .tracks import central_velocity, held_heading
 from .vehicles import Recording
 
-ALONG_RAD = math.radians(15.0)  # of a direction, who drives along it
+SAME_WAY_RAD = math.radians(15.0)  # of a direction, who drives along it
 _MOST_SAMPLES = 200_000
 _MOST_BINS = 2000
 
@@ -125,7 +125,7 @@ def sharpest(near: Samples, place: np.ndarray, direction: float) -> float:
 
 def busiest_place(everything: Samples, direction: float) -> np.ndarray:
     """Where most drive in about a direction, (2,) [m]."""
-    along = everything.where(everything.off(direction) <= ALONG_RAD).thinned()
+    along = everything.where(everything.off(direction) <= SAME_WAY_RAD).thinned()
     if not len(along.xy):
         return np.full(2, np.nan)
     middle = along.xy.mean(axis=0)
@@ -162,5 +162,5 @@ def windowed(values: np.ndarray, window: int, axis: int = 0) -> np.ndarray:
 def near_place(everything: Samples, place: np.ndarray, direction: float, half_m: float) -> Samples:
     """Those that drive along the stretch about a place; a longer one where the file follows the road's bends."""
     u, v = turned(everything.xy - place, direction)
-    here = (np.abs(u) <= half_m) & (np.abs(v) <= 25.0) & (everything.off(direction) <= ALONG_RAD)
+    here = (np.abs(u) <= half_m) & (np.abs(v) <= 25.0) & (everything.off(direction) <= SAME_WAY_RAD)
     return everything.where(here & (everything.speed > 0.0)).thinned()
