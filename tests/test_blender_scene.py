@@ -18,15 +18,15 @@ bpy = pytest.importorskip("bpy")
 from blender_lidar.errors import InputError, MissingFileError, OutputError
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.boxes import DetectedBoxes, corners_of
-from blender_lidar.world.blender.objects import DISPLAY_ONLY, VEHICLE_ID, role, sensor_matrix
-from blender_lidar.world.blender.points import build_cloud, write_cloud
+from blender_lidar.world.blender.objects import DISPLAY_ONLY, VEHICLE_ID, build_lidar, role, sensor_matrix
+from blender_lidar.world.blender.points import show_cloud, write_cloud
 from blender_lidar.world.blender.scene import build_scene, empty_scene, render_picture, save_blend
 from blender_lidar.world.blender.site import read_site, visible_triangles
 from blender_lidar.world.blender.traffic import animate, colour_vehicles, show_vehicles
 from blender_lidar.world.meshes import GLASS
 from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import shape_names, vehicle_triangles
-from tests.blender_session import POSE, SCENERY, TRAFFIC, hits, moment
+from tests.blender_session import LATTICE, POSE, SCENERY, TRAFFIC, hits, moment
 from tests.sample_traffic import dense_traffic
 from tests.waiting import WAIT_S
 
@@ -128,7 +128,7 @@ def test_a_vertex_carries_what_its_return_carries(scene):
 
 def test_a_cloud_written_again_in_place_holds_the_new_points_alone(scene):
     shown = moment()
-    item = build_cloud(scene, shown.points)
+    item = show_cloud(build_lidar(scene, LATTICE, POSE), shown.points)
     for first in (5, 0):
         points = {name: values[first:] for name, values in shown.points.items()}
         write_cloud(item.data, points)
@@ -338,9 +338,7 @@ def test_a_saved_scene_shows_itself_when_it_is_opened(tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(path))
     opened = bpy.context.scene
     assert opened.camera is not None
-    assert {"Road", "Vehicles", "LiDAR", "Point cloud", "Scenery", "Cameras and light"} <= set(
-        bpy.data.collections.keys()
-    )
+    assert {"Road", "Vehicles", "LiDAR", "Scenery", "Cameras and light"} <= set(bpy.data.collections.keys())
     spaces = [space for screen in bpy.data.screens for area in screen.areas for space in area.spaces]
     views = [space for space in spaces if space.type == "VIEW_3D"]
     assert views

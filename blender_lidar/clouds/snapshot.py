@@ -110,7 +110,7 @@ def mounted_sensor(scenario: Scenario, mounting: Mounting, more: Scenery | None 
 
 
 def vertices_of(cloud: PointCloud, vehicles: Vehicles, entropy_bits: np.ndarray) -> dict[str, np.ndarray]:
-    """A cloud, and PE-VGOP (v,) of the frame's vehicles, as `world.blender.points.build_cloud` takes them.
+    """A cloud, and PE-VGOP (v,) of the frame's vehicles, as `world.blender.points.show_cloud` takes them.
 
     Points that lie on no vehicle have 0 bits; `lidar` is the number of the LiDAR that has measured them.
     """

@@ -21,8 +21,8 @@ from blender_lidar.clouds.live import LiveFrame
 from blender_lidar.clouds.snapshot import entropy_of_vehicles, vertices_of
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recording
-from blender_lidar.world.blender.objects import new_mesh
-from blender_lidar.world.blender.points import build_cloud, colours_by, write_cloud
+from blender_lidar.world.blender.objects import build_lidar, new_mesh
+from blender_lidar.world.blender.points import colours_by, show_cloud, write_cloud
 from blender_lidar.world.blender.preview import VisibleObjects
 from blender_lidar.world.blender.scene import empty_scene
 from blender_lidar.world.blender.traffic import colour_vehicles, show_vehicles
@@ -56,6 +56,7 @@ def drag(path, sensor, caster, height, tilt, with_objects):
     vehicles = max((recording.vehicles(frame) for frame in recording.frames), key=len)
     scene = empty_scene()
     items = show_vehicles(scene, vehicles)
+    lidar = build_lidar(scene, site.observation.lattice, site.scenario.baseline.pose)
     if with_objects:
         scene.collection.objects.link(_ground())
     live, seconds = LiveFrame(site.counted(vehicles), site.observation, site.scoring), []
@@ -70,7 +71,7 @@ def drag(path, sensor, caster, height, tilt, with_objects):
         points = vertices_of(look.cloud, vehicles, bits)
         colours_by("range", points)
         if cloud is None:
-            cloud = build_cloud(scene, points)
+            cloud = show_cloud(lidar, points)
         else:
             write_cloud(cloud.data, points)
         colour_vehicles(items, bits)

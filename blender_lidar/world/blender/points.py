@@ -11,8 +11,6 @@ from .objects import (
     CLOUD,
     add_attribute,
     add_object,
-    clear,
-    collection,
     made_once,
     matrix_of,
     new_mesh,
@@ -60,33 +58,34 @@ def colours_by(name: str, points: Mapping[str, np.ndarray]) -> np.ndarray:
     return colours
 
 
-def build_cloud(
-    scene: bpy.types.Scene, points: Mapping[str, np.ndarray] | None, lidar: bpy.types.Object | None = None
-) -> bpy.types.Object | None:
-    """A cloud in the road frame, in place of an earlier one; None only takes that away.
+def show_cloud(
+    lidar: bpy.types.Object, points: Mapping[str, np.ndarray], colour_by: str = "entropy"
+) -> bpy.types.Object:
+    """The cloud of a LiDAR in the road frame, its child; written in place where there is one.
 
     Parameters
     ----------
-    points : mapping of str to ndarray, or None
+    lidar : Object
+        What it belongs to and follows.
+    points : mapping of str to ndarray
         Places `xyz` (n, 3) [m], and attributes of the vertices, (n,) each, by their names: `vehicle`, the id of the one
         that a point lies on, -1 for none, `entropy`, its PE-VGOP [bits], `range` [m] and others.
-    lidar : Object, optional
-        What it belongs to and follows.
+    colour_by : str
+        The attribute that colours them, see `colours_by`.
     """
-    into = collection(scene, _NAME, CLOUD)
-    clear(into)
-    return None if points is None else _new_cloud(into, points, lidar)
-
-
-def show_cloud(lidar: bpy.types.Object, points: Mapping[str, np.ndarray], colour_by: str) -> None:
-    """The cloud of a LiDAR, its child: as `build_cloud`, written in place where there is one."""
     item = cloud_of(lidar)
     if item is None:
-        item = _new_cloud(lidar.users_collection[0], points, lidar)
+        mesh = new_mesh(_NAME, np.empty((0, 3)), np.empty((0, 3), dtype=int), [_material()])
+        item = add_object(lidar.users_collection[0], _NAME, mesh, CLOUD)
+        item.hide_select = True
+        only_for_the_eye(item)
+        item.modifiers.new(_LOOK, "NODES").node_group = made_once(bpy.data.node_groups, _LOOK, _points)
     elif item.data.users > 1:  # of a LiDAR that was duplicated with its cloud linked
         item.data = item.data.copy()
     write_cloud(item.data, points, colour_by)
-    _fasten(item, lidar)
+    item.parent = lidar  # whose frame is another than that of the vertices
+    item.matrix_parent_inverse = matrix_of(lidar).inverted_safe()
+    return item
 
 
 def colour_cloud(cloud: bpy.types.Object, name: str) -> None:
@@ -109,20 +108,8 @@ def cloud_of(lidar: bpy.types.Object) -> bpy.types.Object | None:
     return next((child for child in lidar.children if role(child) == CLOUD), None)
 
 
-def _new_cloud(into, points, lidar):
-    mesh = new_mesh(_NAME, np.empty((0, 3)), np.empty((0, 3), dtype=int), [_material()])
-    write_cloud(mesh, points)
-    item = add_object(into, _NAME, mesh, CLOUD)
-    only_for_the_eye(item)
-    item.modifiers.new(_LOOK, "NODES").node_group = made_once(bpy.data.node_groups, _LOOK, _points)
-    if lidar is not None:
-        item.hide_select = True
-        _fasten(item, lidar)
-    return item
-
-
 def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray], colour_by: str = "entropy") -> None:
-    """Let the mesh of a cloud hold other points, as for `build_cloud`, in place, coloured as `colours_by` does."""
+    """Let the mesh of a cloud hold other points, as for `show_cloud`, in place, coloured as `colours_by` does."""
     if len(mesh.vertices) != len(points["xyz"]):
         mesh.clear_geometry()  # materials stay
         mesh.vertices.add(len(points["xyz"]))
@@ -132,12 +119,6 @@ def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray], colour_b
             add_attribute(mesh, name, _numbers(values) if name == "vehicle" else values)
     _colour(mesh, points, colour_by)
     mesh.update()
-
-
-def _fasten(item, lidar):
-    """Let a cloud, whose vertices are in the road frame, follow its LiDAR from where that hangs now."""
-    item.parent = lidar
-    item.matrix_parent_inverse = matrix_of(lidar).inverted_safe()
 
 
 def _numbers(vehicle_id: np.ndarray) -> np.ndarray:

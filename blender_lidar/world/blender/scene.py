@@ -37,7 +37,7 @@ from .objects import (
     role,
     set_inputs,
 )
-from .points import build_cloud
+from .points import show_cloud
 from .quiet import first_error, quiet
 from .traffic import animate, show_vehicles
 
@@ -202,7 +202,7 @@ class Moment:
     range_gate_m : float
         How far the sensor is asked to see [m].
     points : mapping of str to ndarray, or None
-        What it saw, as `points.build_cloud` takes it.
+        What it saw, as `points.show_cloud` takes it.
     scenery : Scenery or None
         What stands still.
     settings : mapping or None
@@ -243,7 +243,8 @@ def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     build_scenery(scene, moment.scenery)
     show_vehicles(scene, moment.vehicles, moment.detail)
     lidar = build_lidar(scene, moment.lattice, moment.pose)
-    build_cloud(scene, moment.points, lidar)
+    if moment.points is not None:
+        show_cloud(lidar, moment.points)
     show_detections(scene, moment.detections.get(moment.vehicles.frame))
     if moment.settings is not None:
         lidar[SETTINGS] = scene[SETTINGS] = json.dumps(moment.settings | {"frame": moment.vehicles.frame})
