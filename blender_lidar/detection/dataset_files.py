@@ -33,7 +33,7 @@ from ..files import (
 from ..names import DATASET_LAYOUTS
 from ..scene.mounting import MOUNTED
 from ..scene.provenance import check_identity
-from ..traffic.source import Column, TableLayout, fields_of, first_lines, read_rows
+from ..traffic.source import Column, laid_out, read_rows
 from ..traffic.table import BOX_COLUMNS
 from ..traffic.vehicles import CLASSES
 from .dataset import TRAIN, VAL, DatasetPlan, Sample, sample
@@ -78,10 +78,7 @@ _OF_BOXES = {
 
 def read_columns(path: Path, columns: Mapping[str, Column], text: str) -> dict[str, np.ndarray]:
     """Columns of a table of a data set: numbers, and one of texts."""
-    line, header = first_lines(path)[0]
-    layout = TableLayout(fields_of(header), ",", line + 1)
-    layout.check([*columns, text], (), f"{path}:{line}")
-    parts = list(read_rows(path, layout, columns, [text]))
+    parts = list(read_rows(path, laid_out(path, (*columns, text)), columns, [text]))
     found = {
         name: np.concatenate([np.zeros(0), *(rows.numbers(name, column) for rows in parts)])
         for name, column in columns.items()

@@ -16,7 +16,7 @@ from ..files import make_folder, read_text, reading, write_columns, write_text
 from ..road.road_map import wrap_angle
 from ..sensors.pose import Pose
 from ..traffic.boxes import KINDS, DetectedBoxes, boxes_of_rows, join_boxes
-from ..traffic.source import Column, Rows, TableLayout, fields_of, first_lines, read_rows
+from ..traffic.source import Column, Rows, laid_out, read_rows
 from ..traffic.vehicles import Vehicles
 
 _CAR, _LARGE, _SMALL = range(len(KINDS))
@@ -107,9 +107,7 @@ def write_detected(path: str | Path, of_frame: Mapping[int, DetectedBoxes]) -> N
 
 
 def _read_csv(path: Path) -> dict[int, DetectedBoxes]:
-    line, header = first_lines(path)[0]
-    layout = TableLayout([printable(name) for name in fields_of(header)], ",", line + 1)
-    layout.check(["class", *_COLUMNS], (), f"{path}:{line}")
+    layout = laid_out(path, ("class", *_COLUMNS))
     parts = [_of_rows(rows) for rows in read_rows(path, layout, _COLUMNS, ["class"])]
     frames = np.concatenate([np.zeros(0, np.int64), *(frame for frame, _ in parts)])
     return _by_frame(frames, join_boxes([boxes for _, boxes in parts]))

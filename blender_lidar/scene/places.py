@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import InputError, shown
 from ..road.straight import StraightRoad, road_map
 from ..toml_table import TomlTable
-from ..traffic.source import Column, TableLayout, delimiter_of, fields_of, first_lines, known_names, read_rows
+from ..traffic.source import Column, laid_out, read_rows
 from . import usual
 from .deployment import (
     COORDINATE_LIMITS,
@@ -221,11 +221,7 @@ def read_poles(path: str | Path) -> tuple[Pole, ...]:
     MissingFileError, InputError
         When the file cannot be used; the text names the line and the column.
     """
-    line, header = first_lines(path)[0]
-    known = (*_NEEDED, *_OPTIONAL)
-    delimiter = delimiter_of(header, known)
-    layout = TableLayout(known_names(fields_of(header, delimiter), known), delimiter, line + 1)
-    layout.check(_NEEDED, _OPTIONAL, f"{path}:{line}")
+    layout = laid_out(path, _NEEDED, _OPTIONAL)
     poles: dict[str, Pole] = {}
     for rows in read_rows(path, layout, _NUMBERS, ["name", "existing"]):
         numbers = {key: rows.numbers(key, column).tolist() for key, column in _NUMBERS.items() if key in rows.columns}

@@ -187,6 +187,27 @@ class TableLayout(NamedTuple):
         return used
 
 
+def laid_out(
+    path: str | Path,
+    needed: Iterable[str],
+    optional: Iterable[str] = (),
+    nearest: Callable[[Iterable[str], Iterable[str]], dict[str, str]] = lambda wanted, present: {},
+) -> TableLayout:
+    """How the rows of a table are written, by its header; names of columns as `known_names` finds them.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        As `first_lines` and `TableLayout.check`.
+    """
+    line, header = first_lines(path)[0]
+    known = (*needed, *optional)
+    delimiter = delimiter_of(header, known)
+    layout = TableLayout(known_names(fields_of(header, delimiter), known), delimiter, line + 1)
+    layout.check(needed, optional, f"{path}:{line}", nearest)
+    return layout
+
+
 # --- Columns of numbers -----------------------------------------------------------------------------------
 
 

@@ -38,6 +38,7 @@ from .source import (
     fields_of,
     first_lines,
     known_names,
+    laid_out,
     quoted,
     read_rows,
     vehicle_ids,
@@ -129,7 +130,9 @@ def read_table(
 
 def likeness(header: str) -> int:
     """How many of the needed columns a header has, or has something like."""
-    return len(_nearest_names(BOX_NEEDED, _names(header)[0]))
+    known = (*BOX_NEEDED, *OPTIONAL)
+    names = known_names(fields_of(header, delimiter_of(header, known)), known)
+    return len(_nearest_names(BOX_NEEDED, names))
 
 
 def _nearest_names(wanted: Iterable[str], present: Iterable[str]) -> dict[str, str]:
@@ -147,20 +150,10 @@ def _nearest_names(wanted: Iterable[str], present: Iterable[str]) -> dict[str, s
     return found
 
 
-def _names(header: str) -> tuple[list[str], str | None]:
-    """The columns of a header, known ones as they are spelt here, and what divides them."""
-    known = (*BOX_NEEDED, *OPTIONAL)
-    delimiter = delimiter_of(header, known)
-    return known_names(fields_of(header, delimiter), known), delimiter
-
-
 def _chunks(table: str | Path | Mapping) -> Iterable[Rows]:
     """The rows of a file, chunk by chunk, or of a table in memory, after its columns were checked."""
     if isinstance(table, str | Path):
-        line, text = first_lines(table)[0]
-        names, delimiter = _names(text)
-        layout = TableLayout(names, delimiter, line + 1)
-        layout.check(BOX_NEEDED, OPTIONAL, f"{table}:{line}", _nearest_names)
+        layout = laid_out(table, BOX_NEEDED, OPTIONAL, _nearest_names)
         return read_rows(table, layout, BOX_COLUMNS, ["class", "vehicle_id"])
     TableLayout(list(map(str, table)), None, 0).check(BOX_NEEDED, OPTIONAL, "boxes", _nearest_names)
     columns = {name: np.asarray(table[name]) for name in (*BOX_NEEDED, *OPTIONAL) if name in table}
