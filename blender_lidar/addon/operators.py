@@ -302,7 +302,7 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
     def execute(self, context):
         """Scan exactly, check the place, and show the cloud."""
         scene = context.scene
-        lidar = session.needed_lidar(scene)
+        lidar = session.active_lidar(scene)
         scenario, mounting, vehicles = _checked(scene, lidar)
         ready = session.live_frame(scene, lidar, exact=True)
         objects = session.exact_objects(scene, context.view_layer, scenario)
@@ -324,7 +324,7 @@ class LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
     @one_line_errors
     def execute(self, context):
         """Take the pose over."""
-        mounting = properties.mounting_of(session.needed_lidar(context.scene))
+        mounting = properties.mounting_of(session.active_lidar(context.scene))
         properties.fill(context.scene.blender_lidar.baseline, properties.SIX, mounting.as_table())
         return {"FINISHED"}
 
@@ -334,7 +334,7 @@ class LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
 
 def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Vehicles]:
     """The active LiDAR as the command line's `scan` has it, and the frame that is shown."""
-    scenario, mounting, vehicles = _checked(scene, session.needed_lidar(scene))
+    scenario, mounting, vehicles = _checked(scene, session.active_lidar(scene))
     return mounted_sensor(scenario, mounting, open_scenery(scene, bpy.context.view_layer)), vehicles
 
 
@@ -392,7 +392,7 @@ class LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
     def execute(self, context):
         """Evaluate the mounting."""
         scene = context.scene
-        lidar = session.needed_lidar(scene)
+        lidar = session.active_lidar(scene)
         mounting = properties.mounting_of(lidar)
         check_unused(Path(self.directory), "folder", "run")
         objects = open_scenery(scene, context.view_layer)

@@ -230,7 +230,7 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
     @operators.one_line_errors
     def execute(self, context):
         """Search and wait for the end, as scripts do."""
-        lidar = session.needed_lidar(context.scene)
+        lidar = session.active_lidar(context.scene)
         job = begin(context.scene, context.view_layer, lidar)
         try:
             job.wait()
@@ -244,7 +244,7 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
 
     @operators.one_line_errors
     def _begun(self, context):
-        lidar = session.needed_lidar(context.scene)
+        lidar = session.active_lidar(context.scene)
         if job_of(lidar) is not None:
             raise InputError(f"{lidar.name}: is being optimised already; Escape stops it")
         self._scene, self._lidar = session.uid_of(context.scene), session.uid_of(lidar)
@@ -326,7 +326,7 @@ class _NeedsFound:
 class _Hangs(_NeedsFound):
     def execute(self, context):
         """Hang it there, and scan."""
-        lidar = session.needed_lidar(context.scene)
+        lidar = session.active_lidar(context.scene)
         hang(lidar, mounting_from(found_of(lidar)[self.to], properties.road_of(context.scene)).pose)
         context.view_layer.update()
         return operators.LIDAR_OT_scan.execute(self, context)
@@ -351,7 +351,7 @@ class LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
 
     def execute(self, context):
         """Open it."""
-        page = Path(bpy.path.abspath(found_of(session.needed_lidar(context.scene))["folder"])) / "report.html"
+        page = Path(bpy.path.abspath(found_of(session.active_lidar(context.scene))["folder"])) / "report.html"
         if not page.is_file():
             self.report({"ERROR"}, f"{page}: is gone; optimise again")
             return {"CANCELLED"}

@@ -54,20 +54,6 @@ def active_lidar(scene: bpy.types.Scene) -> bpy.types.Object | None:
     return named if is_lidar(named) else next(iter(lidars(scene)), None)
 
 
-def needed_lidar(scene: bpy.types.Scene) -> bpy.types.Object:
-    """The active LiDAR.
-
-    Raises
-    ------
-    InputError
-        Where the scene has none.
-    """
-    lidar = active_lidar(scene)
-    if lidar is None:
-        raise InputError("the scene has no LiDAR; add one: Add > LiDAR")
-    return lidar
-
-
 # --- Settings: a scene file, and the panel's fields as changes to it --------------------------------------------------
 
 

@@ -18,14 +18,13 @@ from .source import first_lines, quoted
 from .sumo import FCD_NEEDED, kind_of_fcd, read_sumo
 from .table import BOX_NEEDED, read_table
 from .table import likeness as table_likeness
-from .vehicles import CLASSES, Recording, RepairReport, Vehicles, overlapping_pairs
+from .vehicles import CLASSES, Recording, RepairReport, Vehicles, overlapping_pairs, with_overlaps_reported
 
 __all__ = [
     "CLASSES",
     "FramePlan",
     "Recording",
     "RepairReport",
-    "StraightRoad",
     "Vehicles",
     "format_of",
     "instants",
@@ -33,7 +32,6 @@ __all__ = [
     "joined_recordings",
     "overlapping_pairs",
     "plan_frames",
-    "read_sumo",
     "read_table",
     "read_traffic",
     "well_populated_frames",
@@ -77,11 +75,11 @@ def read_traffic(
             raise InputError(f"{path}: {name} = {value!r} does not apply to traffic of format {format!r}")
     if format == "ngsim":
         given["road"] = road or StraightRoad()
-    return read(path, **given)
+    return with_overlaps_reported(read(path, **given))
 
 
-_FEWEST_ALIKE = 4  # columns of a table that tell it
-_MOST_OF_SUMO = 6  # columns of a table that SUMO's own files have or have something like
+_FEWEST_ALIKE = 4  # of a format's needed columns, by which a header is known
+_MOST_OF_SUMO = 6  # of a table's columns, those that SUMO's own files have or have something like
 
 
 def format_of(path: str | Path) -> str:

@@ -26,7 +26,7 @@ from .tracks import (
     limited,
     repaired_sizes,
 )
-from .vehicles import Recording, RepairReport, with_overlaps_reported
+from .vehicles import Recording, RepairReport
 
 FOOT_M = 0.3048
 """International foot, exactly; 0.3084 circulates."""
@@ -101,9 +101,7 @@ def read_ngsim(
         off_map=int((in_period & ~on_map).sum()),
         notes=tuple(notes),
     )
-    return with_overlaps_reported(
-        _boxes(_taken(rows, kept), step_ms / 1000, road, follows_road, height_m, str(path), report)
-    )
+    return _boxes(_taken(rows, kept), step_ms / 1000, road, follows_road, height_m, str(path), report)
 
 
 def _taken(rows: dict[str, np.ndarray], which: np.ndarray) -> dict[str, np.ndarray]:

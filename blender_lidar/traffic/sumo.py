@@ -33,7 +33,7 @@ from .source import (
 )
 from .sumo_types import read_types, start_tags, types_of
 from .tracks import drop_repeats
-from .vehicles import CLASSES, Placing, Recording, RepairReport, with_overlaps_reported
+from .vehicles import CLASSES, Placing, Recording, RepairReport
 
 _LANE = re.compile(".*_([0-9]{1,5})", re.DOTALL)
 _LARGEST_LANE = 2**15 - 2
@@ -100,7 +100,7 @@ def read_sumo(
     placing = Placing(origin_m or (0.0, 0.0), heading_deg or 0.0)
     # SUMO records the front centre.
     centre = placing.points(np.column_stack([rows["x"], rows["y"]]) - size[:, :1] / 2 * forward)
-    recording = Recording.from_rows(
+    return Recording.from_rows(
         frame=frame,
         time_s=rows["time"] / 1000,
         vehicle_id=vehicle_id[rows["id"]],
@@ -120,7 +120,6 @@ def read_sumo(
             notes=(*notes, *assumed),
         ),
     )
-    return with_overlaps_reported(recording)
 
 
 def kind_of_fcd(path: str | Path) -> str | None:

@@ -45,7 +45,7 @@ from .source import (
     vehicle_numbers,
 )
 from .tracks import drop_repeats
-from .vehicles import CLASSES, Placing, Recording, RepairReport, with_overlaps_reported
+from .vehicles import CLASSES, Placing, Recording, RepairReport
 
 _LENGTHS = ("length_m", "width_m", "height_m")
 OPTIONAL = ("z_m", "time_s", "lane")
@@ -112,7 +112,7 @@ def read_table(
     columns = {name: column[kept] for name, column in columns.items()}
     time_s, step_s, notes = _times(path, columns, time_step_s)
     plane = placing.points(np.column_stack([columns["x_m"], columns["y_m"]]))
-    recording = Recording.from_rows(
+    return Recording.from_rows(
         frame=columns["frame"],
         time_s=time_s,
         vehicle_id=columns["vehicle_id"],
@@ -125,7 +125,6 @@ def read_table(
         source=str(path),
         report=RepairReport(rows_read, len(kept), duplicates=duplicates, repeated=repeated, notes=(*notes, *numbering)),
     )
-    return with_overlaps_reported(recording)
 
 
 def likeness(header: str) -> int:
