@@ -1,4 +1,4 @@
-"""What happens by itself: files that are opened, frames that are chosen, LiDARs that are duplicated."""
+"""Handlers of events: files that are opened, frames that are chosen, LiDARs that are duplicated."""
 
 import bpy
 from bpy.app.handlers import persistent
@@ -19,7 +19,7 @@ def on_load(*_) -> None:
 
 @persistent
 def on_update(scene, *_) -> None:
-    """Have LiDARs that were duplicated bare dressed in a moment, and what deleted ones wore removed."""
+    """Complete LiDARs duplicated without their parts, and remove the parts of deleted ones, at the next moment."""
     bare = (lidar for lidar in lidars(scene) if not any(role(child) == PART for child in lidar.children))
     if (any(bare) or orphans(scene)) and not bpy.app.background and not bpy.app.timers.is_registered(adopt_all):
         bpy.app.timers.register(adopt_all, first_interval=0.0)

@@ -220,7 +220,7 @@ def _draw() -> None:
     gpu.state.depth_test_set("NONE")
 
 
-# --- What tells that something has changed ----------------------------------------------------------------------------
+# --- Events that mark a change ----------------------------------------------------------------------------------------
 
 
 @persistent

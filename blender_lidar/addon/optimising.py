@@ -37,7 +37,7 @@ from ..world.scenery import Scenery
 from . import live, operators, panels, properties, session
 
 _EVERY_S = 0.05  # between two looks at how far it is
-_LEAST_S, _RECENT_S = 2.0, 20.0  # from what its rate is known, and how much of the past tells it
+_LEAST_S, _RECENT_S = 2.0, 20.0  # of progress before a rate is shown, and that it is taken over
 _PACKAGE = Path(__file__).resolve().parents[1]
 _ORDER, _PRINTED = "order.pickle", "printed.txt"
 

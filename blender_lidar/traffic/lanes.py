@@ -47,7 +47,7 @@ class Lanes:
     def with_second(self, second: Lanes) -> Lanes | None:
         """Both carriageways, where `second`, to the left, has as many lanes as wide; else None.
 
-        Lanes are narrowed where both would overlap, as where one lane each has no neighbour that tells its width.
+        Lanes are narrowed where both would overlap, as where a single lane has no neighbour to take its width from.
         """
         first, other = (0.5 * (one.right_m + one.left_m) for one in (self, second))
         width = round(min(self.width_m, (other - first) / self.count), 2)

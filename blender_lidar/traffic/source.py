@@ -165,7 +165,7 @@ class TableLayout(NamedTuple):
     ) -> list[str]:
         """The columns that are used: the needed ones, and the optional ones that are there.
 
-        An error tells which ones may be meant, `nearest` to those that are missing among those that are present.
+        An error names those that may be meant: `nearest` finds them for missing names among those that are present.
 
         Raises
         ------

@@ -141,7 +141,7 @@ def kind_of_fcd(path: str | Path) -> str | None:
 
 
 def _lane_number(lane: str) -> int:
-    """The number of a lane by its id: ``"edge_0"`` is 1; 0 where it tells no index."""
+    """The number of a lane by its id: ``"edge_0"`` is 1; 0 where it holds no index."""
     found = _LANE.fullmatch(lane)
     return int(found[1]) + 1 if found and int(found[1]) <= _LARGEST_LANE else 0
 

@@ -78,14 +78,14 @@ DEFAULT_TYPES = {
     **dict.fromkeys((*_ON_RAILS, *_ON_NO_ROAD), VehicleType(None, (1.0, 1.0, 1.0))),
 }
 """By SUMO's vehicle class, of which nothing else is known; 5 m by default say nothing about a van, and a tram stands in
-the street as a bus does. Sizes: "Vehicle Type Parameter Defaults" of its documentation, as SUMO 1.28.0 tells them by
+the street as a bus does. Sizes: "Vehicle Type Parameter Defaults" of its documentation, as SUMO 1.28.0 gives them by
 TraCI."""
 _SHORT_FOR = {"VEH": "passenger", "BIKE": "bicycle", "PED": "pedestrian"}
 _BUILT_IN = {
     f"DEFAULT_{name}TYPE": DEFAULT_TYPES[_SHORT_FOR.get(name, name.lower())]
     for name in ("VEH", "TAXI", "BIKE", "PED", "CONTAINER", "RAIL")
 }
-# What a vehicle is drawn as, where a file says so, tells more than its class, which is often left at passenger.
+# What a vehicle is drawn as, where a file says so, says more than its class, which is often left at passenger.
 _DRAWN_AS = {
     **dict.fromkeys(("passenger/sedan", "passenger/hatchback", "passenger/wagon", "police"), "car"),
     **dict.fromkeys(("passenger/van", "delivery", "emergency"), "van"),

@@ -162,7 +162,7 @@ def drop_repeats(vehicle_id: np.ndarray, frame: np.ndarray, values: np.ndarray) 
     ----------
     vehicle_id, frame : ndarray, (n,)
     values : ndarray, (n, c)
-        What tells an exact duplicate from a contradicting row.
+        What distinguishes an exact duplicate from a contradicting row.
 
     Returns
     -------
