@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 bpy = pytest.importorskip("bpy")
 
 from blender_lidar.errors import InputError, MissingFileError, OutputError
+from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.boxes import DetectedBoxes, corners_of
 from blender_lidar.world.blender.objects import DISPLAY_ONLY, VEHICLE_ID, build_lidar, role, sensor_matrix
@@ -24,6 +25,7 @@ from blender_lidar.world.blender.scene import build_scene, empty_scene, render_p
 from blender_lidar.world.blender.site import read_site, visible_triangles
 from blender_lidar.world.blender.traffic import animate, colour_vehicles, show_vehicles
 from blender_lidar.world.meshes import GLASS
+from blender_lidar.world.scenery import road_surface
 from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import shape_names, vehicle_triangles
 from tests.blender_session import LATTICE, POSE, SCENERY, TRAFFIC, hits, moment
@@ -463,12 +465,16 @@ def test_both_cameras_look_at_the_road(scene, pose):
             assert looks[2] < 0.0  # and down
 
 
-def test_what_was_built_before_is_taken_away_where_nothing_takes_its_place(scene):
+CROWN_ALONE = road_surface(road_map(StraightRoad(crown_percent=2.0)), (-50.0, 50.0))
+
+
+@pytest.mark.parametrize("nothing", [None, CROWN_ALONE], ids=["no scenery", "a crown alone"])
+def test_what_was_built_before_is_taken_away_where_nothing_takes_its_place(scene, nothing):
     build_scene(scene, moment())
     before = {kind: len(getattr(bpy.data, kind)) for kind in ("cameras", "lights", "meshes", "materials", "worlds")}
     build_scene(scene, moment())
     assert {kind: len(getattr(bpy.data, kind)) for kind in before} == before
-    build_scene(scene, moment(cloud=False, scenery=None))
+    build_scene(scene, moment(cloud=False, scenery=nothing))
     assert not [item.name for item in scene.objects if role(item) in ("cloud", "scenery")]
 
 

@@ -51,6 +51,22 @@ def test_stations_and_sites_differ_and_stay_where_there_is_traffic(plan):
     assert 0.3 < np.mean([scan.mirrored for scan in plan.scans]) < 0.7
 
 
+def test_a_region_beside_the_lidar_stays_where_there_is_traffic_when_it_is_mirrored(tmp_path):
+    region = {"region": {"centre_m": [9.0, 0.0], "radius_m": 12.0}}
+    scans = plan_dataset(site_of(tmp_path, region), mountings=5, seed=3).scans
+    middles = [(one.mirrored, one.station_m + (-9.0 if one.mirrored else 9.0)) for one in scans]
+    for mirrored in (False, True):
+        of_recording = np.array([middle for is_so, middle in middles if is_so == mirrored])
+        assert np.ptp(of_recording) > 20.0
+        assert (np.abs(of_recording) < 40.0 - 15.0 + 0.01).all()
+
+
+def test_traffic_passes_below_a_gantry(tmp_path):
+    gantry = {"side": "gantry", "y_m": 3.75, "height_m": [5.0, 7.0], "tilt_x_deg": 10.0}
+    plan = plan_dataset(site_of(tmp_path, {"deployment": gantry}), mountings=5, seed=3)
+    assert np.ptp([scan.station_m for scan in plan.scans]) > 20.0
+
+
 def test_what_a_scan_draws_does_not_depend_on_how_many_there_are(plan, tmp_path):
     few = plan_dataset(site_of(tmp_path), mountings=5, scans=7, seed=3)
     assert few.scans == plan.scans[:7]

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from blender_lidar.report.cautions import seeds_text
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.statistics import best_intervals_90, interval_90, resampled_weights
 from tests.refusals import refused
@@ -69,6 +70,21 @@ def test_every_sentence_of_an_optimum_in_more_than_two_coordinates_names_them_al
     assert "among the" in message
     if "heights and tilts" in text:
         assert "heights and tilts, the other coordinates as the search had found them" in text
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ((1.5, 1.4), "20.0 % less gain than the best"),
+        ((1.1, 0.2), "the worst of them no better than the baseline"),
+        ((0.9, 0.2), None),
+    ],
+)
+def test_the_worst_of_several_searches_has_less_gain_or_none(values, said):
+    seeds = [{"deployment": {"height_m": 3.0}, "objective_per_vehicle": value} for value in values]
+    result = {"spread": {"searched": ["height_m"], "seeds": seeds}, "baseline": {"objective_per_vehicle": 1.0}}
+    text = seeds_text(result)
+    assert text.endswith("height 3.00 to 3.00 m" if said is None else said)
 
 
 def test_a_run_that_was_stopped_and_goes_on_comes_to_the_same_spread(tmp_path, capsys, monkeypatch):

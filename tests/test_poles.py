@@ -102,6 +102,7 @@ def test_a_study_is_about_one_place(tmp_path, capsys, verb):
     pytest.importorskip("scipy")
     scene = scene_with(tmp_path, changes={**CHANGES, "deployment": {"poles": "poles.csv", "tilt_x_deg": [0.0, 20.0]}})
     assert "[deployment] poles: are for optimise" in refused(capsys, tmp_path, verb, scene, "--out", "run")
+    assert "unrecognized arguments: --pole" in refused(capsys, tmp_path, verb, scene, "--pole", "lamp", "--out", "run")
 
 
 @pytest.fixture(scope="module")
@@ -227,20 +228,26 @@ def test_all_intervals_hold_together_in_nine_cases_of_ten(blocks, mountings):
     assert 0.85 <= held / cases <= 0.99
 
 
-def test_what_only_breaks_ties_tells_no_poles_apart():
-    """Every frame has one car, detectable from both places, and with more bits from the nearer one each time."""
-    cars = [replace(one_vehicle("car", (0.5 * number, 8.0)), frame=number) for number in range(12)]
+def ranked(places, x_m, metric="pe-vgop", recording=(0,) * 8):
+    """The ranking of poles at some y: 12 frames of a car each, at some x, of which 8 judge, a block each.
+
+    Returns its rows, which pole is best, and the objective of each pole in the held-out frames.
+    """
+    cars = [replace(one_vehicle("car", (x, 8.0)), frame=number) for number, x in enumerate(x_m)]
     frames = [CountedFrame(car, np.ones(1, dtype=bool)) for car in cars]
     seen = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=4), 60.0, 0.4),), "exact", "body", 0.05)
-    scoring = Scoring(1e-6, "mean", None, "corrected", "detectable")
-    plan = SimpleNamespace(holdout_block=np.arange(8), holdout_recording=np.zeros(8, dtype=int))
+    scoring = Scoring(1e-6, "mean", None, "corrected", metric)
+    plan = SimpleNamespace(holdout_block=np.arange(8), holdout_recording=np.array(recording))
     site = SimpleNamespace(plan=plan, scoring=scoring, scenario=SimpleNamespace(search=SimpleNamespace(seed=1)))
-    plans = [(mounting({"height_m": 3.0, "tilt_x_deg": 17.0, "y_m": y}),) for y in (0.0, -20.0)]
-    poles = [Pole("near", 0.0, 0.0), Pole("far", 0.0, -20.0)]
-    spaces = [SearchSpace((Place({}, {}, pole=pole),)) for pole in poles]
+    plans = [(mounting({"height_m": 3.0, "tilt_x_deg": 17.0, "y_m": y}),) for y in places]
+    spaces = [SearchSpace((Place({}, {}, pole=Pole(f"{y:g}", 0.0, y)),)) for y in places]
     with Evaluator(frames[:4], seen, scoring, held_out=frames[4:]) as evaluator:
-        rows, best = rank_places(site, evaluator, spaces, plans)
-        bits = evaluator.held_out.totals(plans).objective
+        return *rank_places(site, evaluator, spaces, plans), evaluator.held_out.totals(plans).objective
+
+
+def test_what_only_breaks_ties_tells_no_poles_apart():
+    """Every frame has one car, detectable from both places, and with more bits from the nearer one each time."""
+    rows, best, bits = ranked((0.0, -20.0), 0.5 * np.arange(12), "detectable")
     assert (np.diff(bits, axis=0) < 0.0).all()
     held = rows[1]["holdout"]
     assert (best, held["detectable_share"]) == (0, 1.0)
@@ -249,25 +256,26 @@ def test_what_only_breaks_ties_tells_no_poles_apart():
 
 
 def test_the_intervals_of_poles_do_not_depend_on_the_order_of_their_table():
-    cars = [replace(one_vehicle("car", (3.0 * number - 15.0, 8.0)), frame=number) for number in range(12)]
-    frames = [CountedFrame(car, np.ones(1, dtype=bool)) for car in cars]
-    seen = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=4), 60.0, 0.4),), "exact", "body", 0.05)
-    scoring = Scoring(1e-6, "mean", None, "corrected", "pe-vgop")
-    plan = SimpleNamespace(holdout_block=np.arange(8), holdout_recording=np.zeros(8, dtype=int))
-    site = SimpleNamespace(plan=plan, scoring=scoring, scenario=SimpleNamespace(search=SimpleNamespace(seed=1)))
     found = []
-    with Evaluator(frames[:4], seen, scoring, held_out=frames[4:]) as evaluator:
-        for places in ((-20.0, 0.0, -8.0), (0.0, -8.0, -20.0)):
-            plans = [(mounting({"height_m": 3.0, "tilt_x_deg": 17.0, "y_m": y}),) for y in places]
-            spaces = [SearchSpace((Place({}, {}, pole=Pole(f"{y:g}", 0.0, y)),)) for y in places]
-            rows, _ = rank_places(site, evaluator, spaces, plans)
-            found.append({row["name"]: (row["rank"], row["holdout"]["interval_90"]) for row in rows})
+    for places in ((-20.0, 0.0, -8.0), (0.0, -8.0, -20.0)):
+        rows, *_ = ranked(places, 3.0 * np.arange(12) - 15.0)
+        found.append({row["name"]: (row["rank"], row["holdout"]["interval_90"]) for row in rows})
     one, other = found
     assert [one[name][0] for name in one] == [1, 2, 3]
     for name in one:
         assert one[name][0] == other[name][0]
         if one[name][0] > 1:
             np.testing.assert_allclose(one[name][1], other[name][1], rtol=1e-9)
+
+
+def test_the_intervals_of_poles_resample_the_blocks_of_each_recording_alone():
+    recording = np.repeat((0, 1), 4)
+    x_m = np.concatenate([np.arange(4.0), np.arange(4.0), 20.0 + np.arange(4.0)])  # near in the one, far in the other
+    rows, _, bits = ranked((0.0, -8.0), x_m, recording=recording)
+    low, high = rows[1]["holdout"]["interval_90"]
+    reach, as_of_one = (many_to_one_reach_90(bits, np.ones(8), 1, strata)[1] for strata in (recording, None))
+    assert 0.5 * (high - low) == pytest.approx(reach)
+    assert reach < 0.8 * as_of_one
 
 
 def test_poles_without_a_name_are_not_asked_for(tmp_path, capsys):
@@ -304,12 +312,14 @@ def test_a_pole_with_one_bracket_fixes_its_height_and_others_are_searched(tmp_pa
 def test_a_mounting_beyond_its_pole_is_refused_and_the_sheet_knows_the_foot(ran, tmp_path, capsys):
     _, scene = ran
     for words, fault in {
-        ("--height", "9"): "--height: is 9; allowed on pole lamp: 2.5 to 3.5 m",
-        ("--x", "3"): "--x: is given beside --pole",
+        ("lamp", "--height", "9"): "--height: is 9; allowed on pole lamp: 2.5 to 3.5 m",
+        ("lamp", "--x", "3"): "--x: is given beside --pole",
     }.items():
-        assert fault in refused(
-            capsys, tmp_path, "evaluate", scene, "--pole", "lamp", *words, "--out", "no", begun=True
-        )
+        assert fault in refused(capsys, tmp_path, "evaluate", scene, "--pole", *words, "--out", "no", begun=True)
+    bracket = scene_with(tmp_path / "bracket", "wall,0,0,1.5,2,,,\nrock,4,0,1.5,,,,\n")
+    for pole, fault in {"wall": "3.5 m above the road or more", "rock": "1.5 m above the road or more"}.items():
+        line = refused(capsys, tmp_path, "evaluate", bracket, "--pole", pole, "--height", 1, "--out", "no", begun=True)
+        assert f"--height: is 1; allowed on pole {pole}: {fault}" in line
     done(capsys, "evaluate", scene, "--pole", "lamp", "--height", 3, "--out", tmp_path / "run", *WORDS)
     assert "2.50 m from the foot of pole lamp" in (tmp_path / "run" / "installation.txt").read_text()
 

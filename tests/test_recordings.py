@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
+from blender_lidar.report.summary import worth
 from blender_lidar.run.folder import SCENE, RunFolder
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -38,7 +39,7 @@ def scene_of(folder, *recordings, **changes):
     folder.mkdir(parents=True, exist_ok=True)
     for name, seed, vehicles in (("morning", 1, 40), ("evening", 2, 15)):
         write_table(folder / f"{name}.csv", traffic_rows(vehicles=vehicles, seed=seed))
-    tables = {name: table | changes.get(name, {}) for name, table in (SETTINGS | REGION).items()}
+    tables = {name: table | changes.get(name, {}) for name, table in ({"objective": {}} | SETTINGS | REGION).items()}
     tables["traffic"] = list(recordings) if len(recordings) > 1 else recordings[0]
     (folder / "scene.toml").write_text(to_toml(tables), encoding="utf-8")
     return folder / "scene.toml"
@@ -86,6 +87,19 @@ def test_the_objective_is_the_mean_over_time_by_the_weights_however_many_the_fra
     weight = np.array([float(row.get("weight", 1.0)) for row in searched])
     bits = np.array([float(row["entropy_bits"]) if row["detectable"] == "1" else -1.0 for row in searched])
     assert weight @ bits / weight.sum() == pytest.approx(both["objective_per_vehicle"], abs=1e-5)
+
+
+def test_a_vehicle_weighs_its_own_weight_times_that_of_its_recording(tmp_path):
+    objective = {"objective": {"class_weights": {"truck": 4.0, "van": 0.5}}}
+    weighted = MORNING | {"weight": 2.0}, EVENING
+    site = prepare(load_scenario(scene_of(tmp_path, *weighted, **objective)))
+    own = [prepare(load_scenario(scene_of(tmp_path / "own", one, **objective))) for one in (MORNING, EVENING)]
+    for half in ("search", "holdout"):
+        first, second = (getattr(one, half) for one in own)
+        factors = [2.0 / len(first)] * len(first) + [1.0 / len(second)] * len(second)
+        expected = [factor * frame.weight for factor, frame in zip(factors, first + second, strict=True)]
+        found = [frame.weight * 3.0 / len(factors) for frame in getattr(site, half)]
+        np.testing.assert_allclose(np.concatenate(found), np.concatenate(expected), rtol=1e-12)
 
 
 def test_one_table_in_a_list_is_one_recording_to_the_last_digit(tmp_path, capsys):
@@ -167,6 +181,9 @@ def test_the_answer_tells_each_recording_and_which_is_seen_worst(tmp_path, capsy
     result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
     worst = min(result["recordings"], key=lambda row: row["holdout"]["objective_per_vehicle"])
     assert f"Recording {worst['name']} is seen worst: {worst['holdout']['objective_per_vehicle']:.4f}" in out
+    words = " ".join(out.split())
+    assert "The frames of a recording together count as its weight. The objective per vehicle is the weighted" in words
+    assert "and by their weights that is" in worth(result | {"metric": "detectable"})
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "morning.csv and evening.csv" in page
     assert "Each recording alone" in page

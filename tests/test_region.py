@@ -94,6 +94,8 @@ def test_a_stretch_counts_the_carriageway_or_the_recordings_lanes(tmp_path):
     xs = [float(x) for x in range(-10, 7, 2)]  # both ends are in
     assert counted_in(tmp_path, {"stretches": [{"x_m": [-10.0, 6.0]}]}) == {(lane, x) for lane in (1, 2) for x in xs}
     assert counted_in(tmp_path, {"stretches": [{"x_m": [-10.0, 6.0], "lanes": [2]}]}) == {(2, x) for x in xs}
+    both = [{"x_m": [-10.0, -4.0], "lanes": [1]}, {"x_m": [-2.0, 6.0], "lanes": [2]}]
+    assert counted_in(tmp_path, {"stretches": both}) == {(1 if x <= -4.0 else 2, x) for x in xs}
 
 
 def test_vehicles_beyond_the_gate_count_as_missed(tmp_path):

@@ -134,7 +134,8 @@ def test_each_side_has_its_place_and_faces_the_road(road, side, y_m, facing_deg,
 @pytest.mark.parametrize("by", ["y_m", "poles"])
 def test_a_mast_whose_place_alone_is_given_faces_the_road(by, road, y_m, facing_deg, tmp_path):
     if by == "poles":
-        (tmp_path / "poles.csv").write_text(f"name,x_m,y_m,facing_deg\nown,0,{y_m},45\nroad,10,{y_m},\n")
+        across = WIDTH - y_m  # on the other side of the road, so that each pole is seen to face by its own place
+        (tmp_path / "poles.csv").write_text(f"name,x_m,y_m,facing_deg\nown,0,{across},45\nroad,10,{y_m},\n")
     tables = {"road": {**TWO_WAY, **road}, "region": {"centre_m": [0.0, 0.5 * WIDTH], "radius_m": 30.0}}
     tables["deployment"] = {"poles": "poles.csv"} if by == "poles" else {"y_m": y_m}
     scenario = load_scenario(write_scene(tmp_path, tables))

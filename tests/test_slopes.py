@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,6 +107,15 @@ def test_a_crown_is_two_planes_on_which_vehicles_stand(crowned):
     surface = np.minimum(reach, np.where(enters < leaves, enters, np.inf))
     np.testing.assert_allclose(cloud.range_m[of_ground], surface[of_ground], atol=1e-9, rtol=0.0)
     assert (cloud.range_m[~of_ground] <= surface[~of_ground] + 1e-9).all()
+
+
+def test_each_carriageway_has_its_crown_and_both_have_one_where_nothing_parts_them():
+    two = StraightRoad(carriageways=2, median_m=5.0, lanes=2, lane_width_m=3.5, setback_m=2.0, crown_percent=3.0)
+    y = np.array([2.0, 5.5, 9.0, 11.5, 14.0, 17.5, 21.0])  # of edges, crowns and the middle of the median
+    height = two.surface.height(np.stack([0.0 * y, y], axis=1))
+    np.testing.assert_allclose(height, 0.03 * 3.5 * np.array([0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]), atol=1e-12)
+    one = replace(two, median_m=0.0)
+    np.testing.assert_allclose(one.surface.height(np.array([[0.0, 9.0], [0.0, 16.0]])), [0.03 * 7.0, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize(("surveyed", "lifted"), [(0.0, True), (0.04, True), (0.3, False)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -133,10 +134,12 @@ def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
     add_pose(parser)
 
 
-def add_pose(parser: argparse.ArgumentParser) -> None:
-    """The coordinates of one mounting: the orientation by tilts and yaw, or by its lean."""
+def add_pose(parser: argparse.ArgumentParser, *, on_poles: bool = True) -> None:
+    """The coordinates of one mounting, on a candidate pole or not: the orientation by tilts and yaw, or by its lean."""
     group = parser.add_argument_group("mounting", "coordinates that are not given are those of the scene's baseline")
-    group.add_argument("--pole", metavar="NAME", help="candidate pole of the scene on which the LiDAR hangs")
+    if on_poles:
+        said = "candidate pole of the scene on which the LiDAR hangs"
+        group.add_argument("--pole", metavar="NAME", help=said)
     for key, declared in MOUNTING_OR_LEAN.items():
         add_option(group, replace(declared, metavar=key.rsplit("_", 1)[1].upper()), key)
 
@@ -162,7 +165,7 @@ def scene_settings() -> dict[str, tuple[str, str]]:
 def mounting_from(args: argparse.Namespace, scenario: Scenario) -> Mounting:
     """The mounting that the options name."""
     given = given_options(args, MOUNTING_OR_LEAN)
-    if args.pole is not None:
+    if getattr(args, "pole", None) is not None:
         poles = {pole.name: pole for pole in scenario.deployment.poles}
         if args.pole not in poles:
             raise (
@@ -174,10 +177,12 @@ def mounting_from(args: argparse.Namespace, scenario: Scenario) -> Mounting:
             raise InputError(f"{MOUNTING_OR_LEAN[place[0]].option}: is given beside --pole; allowed: one of both")
         pole = poles[args.pole]
         height, (low, high) = given.get("height_m"), scenario.deployment.at(pole).span("height_m")
-        if height is not None and not low <= height <= high and pole.height_max_m is not None:
-            raise InputError(
-                f"--height: is {height:g}; allowed on pole {pole.name}: {low:g} to {high:g} m above the road"
-            )
+        allowed = f"{low:g} to {high:g} m above the road"
+        if pole.height_max_m is None:
+            low, high = pole.foot_z_m + (pole.height_min_m or 0.0), math.inf
+            allowed = f"{low:g} m above the road or more"
+        if height is not None and not low <= height <= high:
+            raise InputError(f"--height: is {height:g}; allowed on pole {pole.name}: {allowed}")
         given |= {"x_m": pole.x_m, "y_m": pole.y_m}
         if pole.facing_deg is not None:
             given.setdefault("facing_deg", pole.facing_deg)

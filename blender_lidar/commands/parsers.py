@@ -166,7 +166,7 @@ def _stability(subparsers) -> None:
         run="studies.run_stability",
     )
     add_scene(parser)
-    add_pose(parser)
+    add_pose(parser, on_poles=False)  # a study is about one place
     _output(parser, resumed="study", quick="few frames, coarse grids, short searches")
 
 

@@ -147,8 +147,10 @@ def seeds_text(result: Mapping) -> str:
             places.append(f"{name} {min(found):.{_DIGITS[unit]}f} to {max(found):.{_DIGITS[unit]}f} {unit}")
     values = [one["objective_per_vehicle"] for one in spread["seeds"]]
     base, best = result["baseline"]["objective_per_vehicle"], max(values)
-    lacks = f", the worst of them with {100 * (best - min(values)) / (best - base):.1f} % less gain than the best"
-    return f"{len(values)} searches with other seeds ended at {', '.join(places)}{lacks if best > base else ''}"
+    lacks = "" if best <= base else ", the worst of them no better than the baseline"
+    if min(values) > base:
+        lacks = f", the worst of them with {100 * (best - min(values)) / (best - base):.1f} % less gain than the best"
+    return f"{len(values)} searches with other seeds ended at {', '.join(places)}{lacks}"
 
 
 def poles_text(result: Mapping) -> str:

@@ -192,6 +192,10 @@ def weights_text(result: Mapping) -> str:
     return ", ".join(lines)
 
 
+def _is_weighted(result):
+    return bool(weights_text(result) or result.get("recordings"))
+
+
 def definitions(result: Mapping) -> dict[str, str]:
     """What the objective, and with it its unit, and "detectable" mean in this run, a sentence or two each."""
     metric, identity = metric_named(result["metric"]), result["identity"]
@@ -201,10 +205,13 @@ def definitions(result: Mapping) -> dict[str, str]:
         "detectable": f"occupancy ({identity['[objective] view']} of the three views) of at least "
         f"{identity['[objective] threshold']:g}: a threshold on the metric, not a detector.",
     }
+    if result.get("recordings"):
+        words["objective"] += " The frames of a recording together count as its weight."
     if weights := weights_text(result):
+        words["objective"] += f" Each vehicle counts by its weight ({weights}; others 1)."
+    if _is_weighted(result):
         words["objective"] += (
-            f" Each counts by its weight ({weights}; others 1): the objective per vehicle is the weighted mean. The "
-            "detectable share counts every vehicle once."
+            " The objective per vehicle is the weighted mean; the detectable share counts every vehicle once."
         )
     if metric.tells:
         direction = "" if metric.higher_is_better else "; lower is better"
@@ -301,7 +308,7 @@ def worth(result: Mapping) -> str:
     # A vehicle that gains metres or nats would sound like the reverse of what is meant where lower is better.
     gained = f"a vehicle {amount}" if metric.higher_is_better else f"the objective {amount} per vehicle"
     if metric.of_share:
-        weighted = "by their weights " if weights_text(result) else ""
+        weighted = "by their weights " if _is_weighted(result) else ""
         gained = f"{weighted}that is {metric.number(abs(gain))} {'more' if gain >= 0.0 else 'fewer'} of 100 vehicles"
     return (
         f"{percent(found)} of the vehicles are detectable instead of {percent(base)} under the baseline, and "

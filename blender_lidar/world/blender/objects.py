@@ -254,9 +254,8 @@ def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
     """Barriers, buildings and other standing things, an object each; they take the place of earlier ones."""
     into = collection(scene, "Scenery", STANDING)
     clear(into)
-    if scenery is None:
+    if scenery is None or not len(scenery := scenery.beside_road):
         return
-    scenery = scenery.beside_road
     materials = [plain("Structure", CONCRETE), glass()]
     order = np.argsort(scenery.owner, kind="stable")
     owners, starts = np.unique(scenery.owner[order], return_index=True)
