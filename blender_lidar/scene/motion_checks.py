@@ -190,7 +190,7 @@ def headings(tracks: Tracks, scenario: Scenario) -> str | None:
     in_file = wrap_angle(ways.heading_rad + math.radians(placing.heading_deg))
     meant = {
         "reversed, by half a turn": in_file + math.pi,
-        "clockwise from north, as a compass has them (counter-clockwise from +x is 90 less the bearing), or x and y "
+        "clockwise from north, as a compass has them (counter-clockwise from +x is 90 minus the bearing), or x and y "
         "are swapped": 0.5 * math.pi - in_file,
         "clockwise, or y mirrored": -in_file,
     }
