@@ -13,6 +13,8 @@ settings.register_profile("untimed", deadline=None)  # how fast a shared machine
 settings.load_profile("untimed")
 
 _MOST = 4  # each may hold a Blender, and its tests start processes of their own
+# Files that take longest, a quarter of a minute and more; begun first, none of them is at work alone in the end.
+_LONGEST = ("blender_addon", "caster_attacks", "cluster", "compiled", "detector_training", "extension", "pairs")
 
 # A signal that is ignored stays ignored in the processes that tests start, and a suite in the background, or under
 # nohup, is started so. With a handler that does nothing it goes on ignoring them, and its processes do not.
@@ -25,6 +27,15 @@ for _name in ("SIGINT", "SIGTERM", "SIGHUP"):
 def pytest_xdist_auto_num_workers() -> int:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(cores, _MOST)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if hasattr(config.option, "loadscopereorder"):  # of pytest-xdist: the files of the fewest tests would come last
+        config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.path.stem.removeprefix("test_") not in _LONGEST)
 
 
 @pytest.fixture
