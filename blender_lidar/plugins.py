@@ -22,7 +22,6 @@ from .files import read_file, reading
 
 IN_A_FILE = "FILE.py:NAME"
 _IN_A_FILE = re.compile(r"(?P<path>.+\.py):(?P<name>[^\W\d]\w*)")
-_LARGEST = 1 << 20  # bytes of a file
 
 
 def is_plugin(name: object) -> bool:
@@ -81,7 +80,7 @@ def load_plugin(name: str, where: str = "") -> Any:
     prefix, found = f"{where}: " if where else "", _IN_A_FILE.fullmatch(name)
     path = found["path"]
     with reading(path, "a Python file"):
-        source = read_file(path, _LARGEST)
+        source = read_file(path)
     with faults_in_one_line(f"{prefix}{path}", path):
         module = _module(path, source)
     if not hasattr(module, found["name"]):

@@ -219,8 +219,6 @@ def test_no_return_of_great_noise_lies_behind_the_sensor():
         ({"range_at_10_percent_m": 0.0}, "range_at_10_percent_m is 0.0; allowed: more than 0"),
         ({"range_at_10_percent_m": math.inf}, "range_at_10_percent_m is inf"),
         ({"range_at_10_percent_m": math.nan}, "range_at_10_percent_m is nan"),
-        ({"seed": -1}, "seed is -1; allowed: a whole number, 0 or more"),
-        ({"seed": 0.5}, "seed is 0.5"),
     ],
 )
 def test_imperfections_that_cannot_be_are_refused(given, named):

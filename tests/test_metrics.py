@@ -187,9 +187,9 @@ def test_a_frame_without_vehicles_has_no_scores(name):
     assert METRICS[name].values(nothing).shape == (0,)
 
 
-def test_boxes_with_more_voxels_than_can_be_numbered_are_refused():
+def test_boxes_with_more_voxels_along_a_side_than_memory_bears_are_refused():
     returns = vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.full((1, 3), 1e3), cell_m=10.0)
-    with pytest.raises(InputError, match="too many voxels"):
+    with pytest.raises(InputError, match=r"cell_m is 0\.0001; allowed: at least"):
         voxel_entropy(returns, 1e-4)
 
 

@@ -445,17 +445,9 @@ class StandingScenery:
             Unit directions.
         distance : ndarray, (n,)
             How far along each [m].
-
-        Raises
-        ------
-        InputError
-            For a distance that is not a number.
         """
         hidden = np.zeros(len(distance), dtype=bool)
         if len(distance):
-            reach = float(distance.max())  # NaN if any is
-            if not reach >= 0.0:
-                raise InputError(f"rays are followed for {reach} m; allowed: a distance of 0 m or more")
-            found = self.tree.meet(origins, directions, reach)
+            found = self.tree.meet(origins, directions, float(distance.max()))
             hidden[found.ray] = found.distance < distance[found.ray]
         return hidden

@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 
-from ..errors import InputError
 from .metric import VehicleReturns
 from .vgop import entropy, occupancy
 from .view_grids import ViewGrids, cell_counts
@@ -175,7 +174,6 @@ def volumetric_density(returns: VehicleReturns) -> np.ndarray:
 # PE-VGOP's views; returns on the rim or up to one voxel beyond it fall into the rim's voxel, further ones are dropped.
 
 OCCUPANCY_VOXEL_M = 0.1
-_MOST_VOXELS = 2**62  # of all boxes together: they are numbered with 64 bits
 
 
 def voxel_entropy(returns: VehicleReturns, voxel_m: float) -> np.ndarray:
@@ -223,8 +221,6 @@ def voxel_occupancy_entropy(returns: VehicleReturns) -> np.ndarray:
 def _filled(returns, voxel_m):
     """Vehicle (u,) and number of returns (u,) of every voxel that holds any, vehicle after vehicle."""
     cells = cell_counts(returns.size_m, voxel_m)
-    if float(cells.prod(axis=1, dtype=float).sum()) > _MOST_VOXELS:
-        raise InputError(f"boxes have too many voxels of {voxel_m:g} m; allowed: {_MOST_VOXELS:,} together")
     (x, y, z), vehicle = ViewGrids(returns.size_m, voxel_m).cells_of(returns.points, returns.vehicle)
     voxels = cells.prod(axis=1)
     first = np.cumsum(voxels) - voxels  # number of each box's first voxel

@@ -127,13 +127,11 @@ def beam_lattice(
     Raises
     ------
     InputError
-        A rate that the sensor does not have, a phase that is not finite, or a stride out of range.
+        A rate that the sensor does not have, or a stride out of range.
     """
     all_columns = model.columns(rotation_hz)
     if not 1 <= stride <= all_columns or stride != int(stride):
         raise InputError(f"stride is {stride}; allowed: whole numbers from 1 to the {all_columns} columns of a turn")
-    if not math.isfinite(phase_rad):
-        raise InputError(f"phase_rad is {phase_rad}; allowed: a finite angle")
     columns = round(all_columns / stride)
     step = TURN_RAD / columns
     first_column = np.mod(phase_rad + model.azimuth_offset_rad, TURN_RAD)

@@ -67,8 +67,6 @@ class Imperfections:
             raise InputError(f"glass_dropout is {self.glass_dropout}; allowed: 0 to 1")
         if self.range_at_10_percent_m is not None and not 0.0 < self.range_at_10_percent_m < math.inf:
             raise InputError(f"range_at_10_percent_m is {self.range_at_10_percent_m}; allowed: more than 0")
-        if self.seed < 0 or self.seed != int(self.seed):
-            raise InputError(f"seed is {self.seed}; allowed: a whole number, 0 or more")
 
     @property
     def most_noise_m(self) -> float:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from ..names import MOST_SPREAD_DEG, SENSOR_SUFFIXES
+from ..names import SENSOR_SUFFIXES
 from .files import Datasheet, rates_with, read_sensor_file
 
 DATA_FOLDER = Path(__file__).parent / "data"
@@ -200,22 +200,18 @@ def unit_of(model: LidarModel, spread_deg: float, unit: int) -> LidarModel:
     model : LidarModel
         The nominal sensor.
     spread_deg : float
-        Standard deviation of both errors [degrees], 0 to `MOST_SPREAD_DEG`; at 0 the model itself is returned.
+        Standard deviation of both errors [degrees], 0 or more; at 0 the model itself is returned.
     unit : int
         Which unit, 0 or more. The same unit draws the same errors, in proportion to the spread.
 
     Raises
     ------
     InputError
-        For a spread or a unit out of range, or a unit with a beam beyond the vertical.
+        For a unit with a beam beyond the vertical.
     """
-    if not 0.0 <= spread_deg <= MOST_SPREAD_DEG:  # NaN fails too
-        raise InputError(f"the spread between units is {spread_deg} degrees; allowed: 0 to {MOST_SPREAD_DEG:g}")
-    if unit < 0 or unit != int(unit):
-        raise InputError(f"the unit is {unit}; allowed: a whole number, 0 or more")
     if spread_deg == 0.0:
         return model
-    error = np.random.Generator(np.random.PCG64(int(unit))).standard_normal((2, model.rings))
+    error = np.random.Generator(np.random.PCG64(unit)).standard_normal((2, model.rings))
     elevation, azimuth_offset = (model.elevation_rad, model.azimuth_offset_rad) + math.radians(spread_deg) * error
     steepest = int(np.argmax(np.abs(elevation)))
     if abs(elevation[steepest]) > 0.5 * math.pi:
