@@ -19,9 +19,8 @@ from ..sensors.model import load_model
 from ..sensors.pose import Pose
 from ..studies.compare import Setup, aggregate, compare_frames
 from ..studies.recorded import tabled_frames
-from ..toml_table import settings_of
 from ..world.shapes import DETAILS
-from .options import given_options, new_folder
+from .options import new_folder, options_of
 from .parsers import CompareOptions
 from .progress import Progress
 from .report import note, say_result
@@ -33,7 +32,7 @@ _LOSSES = ("range_noise_m", "dropout", "glass_dropout", "range_at_10_percent_m")
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
-    asked = CompareOptions(**given_options(args, settings_of(CompareOptions)))
+    asked = options_of(args, CompareOptions)
     folder = Path(asked.out or new_folder("compare"))
     check_folder(folder, "--out")
     check_unused(folder, "--out", "comparison")

@@ -15,8 +15,7 @@ from ..names import DATASET_LAYOUTS
 from ..report.summary import as_sentence, warnings_text
 from ..scene.site import Site, prepare
 from ..scoring.evaluation import workplace_of
-from ..toml_table import settings_of
-from .options import default_folder, given_options, scenario_from
+from .options import default_folder, options_of, scenario_from
 from .parsers import DatasetOptions
 from .progress import Progress
 from .report import say_result
@@ -24,7 +23,7 @@ from .report import say_result
 
 def run(args: argparse.Namespace) -> int:
     """Make a data set, or go on with it; returns the exit code."""
-    asked = DatasetOptions(**given_options(args, settings_of(DatasetOptions)))
+    asked = options_of(args, DatasetOptions)
     layouts = _layouts(asked)
     scenario = scenario_from(args)
     folder = DatasetFolder(args.out if args.out is not None else default_folder(scenario, "dataset"))

@@ -6,7 +6,7 @@ import argparse
 import itertools
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +17,7 @@ from ..plugins import IN_A_FILE
 from ..scene.deployment import MOUNTING_OR_LEAN
 from ..scene.mounting import Mounting
 from ..scene.settings import DECLARED
-from ..toml_table import Setting, checked, limits_text
+from ..toml_table import Setting, checked, limits_text, settings_of
 
 if TYPE_CHECKING:
     from ..scene.scenario import Scenario
@@ -88,6 +88,20 @@ def add_option(parser, declared: Setting, key: str, default: object = None, *, o
         how |= {"action": "append"} if ... in parts else {"nargs": len(parts)}
     how.setdefault("action", Once)
     parser.add_argument(declared.option, required=default is ..., **how)
+
+
+def add_options(parser: argparse.ArgumentParser, declared: type, groups: Mapping[str, Sequence[str]]) -> None:
+    """The options that a dataclass declares, which `options_of` reads, by the titles of their groups."""
+    settings = settings_of(declared)
+    for title, keys in groups.items():
+        group = parser.add_argument_group(title)
+        for key in keys:
+            add_option(group, settings[key], key, settings[key].default)
+
+
+def options_of(args: argparse.Namespace, declared: type) -> Any:
+    """The options that a dataclass declares, as it holds them."""
+    return declared(**given_options(args, settings_of(declared)))
 
 
 def given_options(args: argparse.Namespace, settings: Mapping[str, Setting]) -> dict[str, Any]:

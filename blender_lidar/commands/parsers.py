@@ -6,13 +6,12 @@ A parser names the function of its verb as ``module.function`` of this room, whi
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, METRIC_NAMES, VIEWS
 from ..scene.settings import TrafficSettings
 from ..toml_table import setting, settings_of
-from .options import SEARCH_OPTIONS, add_moments, add_option, add_pose, add_scene
+from .options import SEARCH_OPTIONS, add_moments, add_option, add_options, add_pose, add_scene
 
 SUSTECHPOINTS = "sustechpoints"
 _CLOUD_FORMATS = [*(suffix.removeprefix(".") for suffix in CLOUD_SUFFIXES), SUSTECHPOINTS]
@@ -52,15 +51,6 @@ def _verb(subparsers, words, what, description, *examples, run="") -> argparse.A
     parser = subparsers.add_parser(name, aliases=also, help=what, usage=usage, description=description, epilog=epilog)
     parser.set_defaults(run=run or f"{name}.run")
     return parser
-
-
-def _add_declared(parser: argparse.ArgumentParser, options: type, groups: Mapping[str, Sequence[str]]) -> None:
-    """The options that a dataclass declares, by the titles of their groups."""
-    settings = settings_of(options)
-    for title, keys in groups.items():
-        group = parser.add_argument_group(title)
-        for key in keys:
-            add_option(group, settings[key], key, settings[key].default)
 
 
 def _output(parser: argparse.ArgumentParser, *, resumed: str = "", quick: str = "") -> None:
@@ -267,7 +257,7 @@ def _dataset(subparsers) -> None:
         "i80 --frames 50 --mountings 50 --scans 2500 --layout kitti --layout nuscenes --out i80_set",
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster"))
-    _add_declared(parser, DatasetOptions, {"data set": tuple(settings_of(DatasetOptions))})
+    add_options(parser, DatasetOptions, {"data set": tuple(settings_of(DatasetOptions))})
     _output(parser)
 
 
@@ -374,7 +364,7 @@ def _score(subparsers) -> None:
         "metric": ("cell_m", "threshold", "view", "metrics"),
         "output": ("out", "json"),
     }
-    _add_declared(parser, ScoreOptions, groups)
+    add_options(parser, ScoreOptions, groups)
 
 
 @dataclass(frozen=True, slots=True)
@@ -457,7 +447,7 @@ def _compare(subparsers) -> None:
         "simulation": ("details", "losses", "label_margin_m", "clearance_m", "caster"),
         "output": ("out", "json"),
     }
-    _add_declared(parser, CompareOptions, groups)
+    add_options(parser, CompareOptions, groups)
 
 
 # --- What there is ----------------------------------------------------------------------------------------------------

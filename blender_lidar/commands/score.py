@@ -19,11 +19,10 @@ from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE, NEEDS_DISTANCE, NEEDS_POINTS, Metric, vehicle_returns
 from ..metrics.vgop import entropy, to_vehicle_frame
 from ..optimise import detectable
-from ..toml_table import settings_of
 from ..traffic import read_table
 from ..traffic.source import NUMBERED
 from ..traffic.vehicles import Vehicles
-from .options import given_options
+from .options import options_of
 from .parsers import ScoreOptions
 
 _ALL = "all"
@@ -37,7 +36,7 @@ _OF_CLOUD = {name: metric for name, metric in METRICS.items() if metric.learn is
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
-    asked = ScoreOptions(**given_options(args, settings_of(ScoreOptions)))
+    asked = options_of(args, ScoreOptions)
     metrics = metrics_of(asked)
     points, vehicle_id = read_points(asked.points)
     table = score_table(asked, metrics, points, vehicle_id, boxes_of(asked, asked.boxes))

@@ -268,8 +268,8 @@ class Landscape:
 
     objective: np.ndarray
     vehicles: np.ndarray
-    weight: np.ndarray = None
-    detectable: np.ndarray = None
+    weight: np.ndarray | None = None
+    detectable: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if self.weight is None:
