@@ -12,8 +12,8 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import TrafficSettings
 from blender_lidar.scene.site import prepare, read_recording, read_recordings
 from blender_lidar.scoring import frame_scorer
-from blender_lidar.traffic.fleet import BODIES, FLEET, KIND_OF_BODY, fleet_kind, with_variety
-from blender_lidar.traffic.vehicles import CLASSES, HEIGHTS_M, Recording, RepairReport
+from blender_lidar.traffic.fleet import BODIES, FLEET, KIND_OF_BODY, with_variety
+from blender_lidar.traffic.vehicles import CLASSES, FLEET_KINDS, HEIGHTS_M, Recording, RepairReport, fleet_kind
 from blender_lidar.world.triangles import shape_names
 from tests.small_scene import CASTER
 
@@ -38,7 +38,7 @@ def of_vehicles(recording):
     """One row of each vehicle: kinds, lengths, heights and bodies, as rows of `FLEET`."""
     _, first = np.unique(recording.vehicle_id, return_index=True)
     length, classes = recording.size_m[first, 0], recording.class_index[first]
-    kinds = np.array([fleet_kind(CLASSES[one], long) for one, long in zip(classes, length, strict=True)])
+    kinds = np.array(FLEET_KINDS)[fleet_kind(classes, length)]
     names = [[body.name for body in FLEET[kind]] for kind in kinds]
     drawn = [
         of_kind[0] if body == 0 else BODIES[body - 1]

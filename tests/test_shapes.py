@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from blender_lidar.casting import caster_class
 from blender_lidar.errors import InputError
-from blender_lidar.traffic.fleet import FLEET, fleet_kind
-from blender_lidar.traffic.vehicles import CLASSES
+from blender_lidar.traffic.fleet import FLEET
+from blender_lidar.traffic.vehicles import CLASSES, FLEET_KINDS, fleet_kind
 from blender_lidar.world.detailed_shapes import Axle, lower_body
 from blender_lidar.world.meshes import (
     GLASS,
@@ -178,8 +178,10 @@ def test_a_frame_without_vehicles_has_no_triangles():
 
 
 def test_trucks_of_nine_metres_and_more_are_articulated():
-    assert (fleet_kind("truck", 8.99), fleet_kind("truck", 9.0)) == ("truck", "long_truck")
-    assert fleet_kind("car", 12.0) == "car"
+    kinds = fleet_kind(
+        np.array([CLASSES.index(name) for name in ("truck", "truck", "car")]), np.array([8.99, 9.0, 12.0])
+    )
+    assert [FLEET_KINDS[kind] for kind in kinds] == ["truck", "long_truck", "car"]
 
 
 def test_unknown_shapes_and_details_are_refused_by_name():

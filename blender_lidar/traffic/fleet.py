@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .vehicles import CLASSES, HEIGHTS_M, LONG_TRUCK_M, Recording
+from .vehicles import CLASSES, FLEET_KINDS, HEIGHTS_M, Recording, fleet_kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +71,7 @@ FLEET = {
 KIND_OF_BODY = {body.name: kind for kind, bodies in FLEET.items() for body in bodies}
 BODIES = tuple(KIND_OF_BODY)
 """All of them by name; `Vehicles.body` counts into them from 1 on."""
-_KINDS = (*CLASSES, "long_truck")
 _LENGTHS_M = (3.5, 5.5)  # between which heights go with lengths
-
-
-def fleet_kind(vehicle_class: str, length_m: float) -> str:
-    """Kind of a vehicle: its class, and for trucks whether they are articulated."""
-    if vehicle_class == "truck" and length_m >= LONG_TRUCK_M:
-        return "long_truck"
-    return vehicle_class
 
 
 def with_variety(recording: Recording, variety: float, seed: int, number: int = 0) -> Recording:
@@ -110,12 +102,12 @@ def with_variety(recording: Recording, variety: float, seed: int, number: int = 
     for each in np.unique(kind):
         given = recording.size_m[rows == each, 2]
         several = (kind == each).sum() > 1
-        own[kind == each] = (given != given[0]).any() or not (several or given[0] == HEIGHTS_M[_KINDS[each]])
+        own[kind == each] = (given != given[0]).any() or not (several or given[0] == HEIGHTS_M[FLEET_KINDS[each]])
     height = _medians(recording.size_m[:, 2], of)
     body, factor = np.zeros(len(vehicle), np.int8), np.ones(len(vehicle))
     for at, identity in enumerate(vehicle.tolist()):
         rng = np.random.default_rng([seed, number, identity % 2**64])
-        name, drawn = _drawn(_KINDS[kind[at]], length[at], height[at] if own[at] else None, variety, rng)
+        name, drawn = _drawn(FLEET_KINDS[kind[at]], length[at], height[at] if own[at] else None, variety, rng)
         body[at], factor[at] = 1 + BODIES.index(name), 1.0 if own[at] else drawn
     size, centre = recording.size_m.copy(), recording.centre_m.copy()
     size[:, 2] *= factor[of]
@@ -124,11 +116,10 @@ def with_variety(recording: Recording, variety: float, seed: int, number: int = 
 
 
 def _kinds(recording: Recording, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each vehicle its kind, a row of `_KINDS`, by its most frequent class and its median length, and that [m]."""
+    """Of each vehicle its kind, a row of `FLEET_KINDS`, by its most frequent class and median length, and that [m]."""
     counts = np.bincount(of * len(CLASSES) + recording.class_index, minlength=(of.max(initial=-1) + 1) * len(CLASSES))
-    kind, length = counts.reshape(-1, len(CLASSES)).argmax(axis=1), _medians(recording.size_m[:, 0], of)
-    kind[(kind == CLASSES.index("truck")) & (length >= LONG_TRUCK_M)] = len(CLASSES)
-    return kind, length
+    length = _medians(recording.size_m[:, 0], of)
+    return fleet_kind(counts.reshape(-1, len(CLASSES)).argmax(axis=1), length), length
 
 
 def _medians(values: np.ndarray, of: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import InputError, unknown_name
 from ..files import number
 from ..road import StraightRoad
-from .source import EMPTY, Column, Rows, TableLayout, fields_of, first_lines, read_rows
+from .source import EMPTY, Column, Rows, TableLayout, fields_of, first_lines, header_names, laid_out, read_rows
 from .tracks import (
     WINDOW_S,
     class_index,
@@ -169,7 +169,7 @@ NGSIM_COLUMNS = {
     "Lane_ID": Column("a whole number", 1 - 2**15, 2**15 - 1, whole=True, optional=True),
 }
 """The columns of numbers that are needed, in NGSIM's spelling; files may have them in any letter case."""
-_SPELT = {name.lower(): name for name in (*NGSIM_COLUMNS, "Location", "Int_ID")}
+_OPTIONAL = ("Location", "Int_ID")
 _FIRST_14 = [
     *("Vehicle_ID", "Frame_ID", "total_frames", "Global_Time", "Local_X", "Local_Y", "global_x", "global_y"),
     *("v_Length", "v_Width", "v_Class", "v_vel", "v_acc", "Lane_ID"),
@@ -200,9 +200,9 @@ def _is_row(fields: Sequence[str]) -> bool:
 
 def likeness(line: str) -> float:
     """How many of the needed columns a header has; endless for a row without a header, as only NGSIM has."""
-    fields = _divided(line)[1]
-    names = {field.lower().replace(" ", "_") for field in fields}
-    return np.inf if _is_row(fields) else len(names & {name.lower() for name in NGSIM_COLUMNS})
+    if _is_row(_divided(line)[1]):
+        return np.inf
+    return len(set(header_names(line, NGSIM_COLUMNS)[0]) & set(NGSIM_COLUMNS))
 
 
 def sniff_layout(path: str | Path) -> TableLayout:
@@ -226,11 +226,7 @@ def sniff_layout(path: str | Path) -> TableLayout:
             allowed = "NGSIM rows have 18 or 24, the portal's 25; other traffic needs a first line of column names"
             raise InputError(f"{path}:{line}: {len(fields)} fields; {allowed}")
         return TableLayout((*columns, *trailing), delimiter, line)
-    if delimiter is None and "\t" in text:
-        delimiter = "\t"  # under a header, cells may be empty: every tab counts
-    names = [field.lower().replace(" ", "_") for field in fields_of(text, delimiter)]
-    layout = TableLayout([_SPELT.get(name, name) for name in names], delimiter, line + 1)
-    layout.check(NGSIM_COLUMNS, (), f"{path}:{line}")
+    layout = laid_out(path, NGSIM_COLUMNS, _OPTIONAL)
     if len(lines) < 2:
         raise InputError(f"{path}: no rows below the header in line {line}")
     return layout

@@ -129,6 +129,12 @@ def delimiter_of(header: str, known: Collection[str]) -> str | None:
     return max((",", ";", "\t", "|", None), key=found)
 
 
+def header_names(header: str, known: Collection[str]) -> tuple[list[str], str | None]:
+    """The names of a header, as `known_names` spells them, and what divides them, as `delimiter_of` finds it."""
+    delimiter = delimiter_of(header, known)
+    return known_names(fields_of(header, delimiter), known), delimiter
+
+
 def known_names(names: Iterable[str], known: Iterable[str]) -> list[str]:
     """Names of columns in small letters, spelt as the `known` ones: ``"X [m]"`` as ``"x_m"``."""
     spelt = {_letters(name): name for name in known}
@@ -201,9 +207,7 @@ def laid_out(
         As `first_lines` and `TableLayout.check`.
     """
     line, header = first_lines(path)[0]
-    known = (*needed, *optional)
-    delimiter = delimiter_of(header, known)
-    layout = TableLayout(known_names(fields_of(header, delimiter), known), delimiter, line + 1)
+    layout = TableLayout(*header_names(header, (*needed, *optional)), line + 1)
     layout.check(needed, optional, f"{path}:{line}", nearest)
     return layout
 

@@ -34,10 +34,8 @@ from .source import (
     Column,
     Rows,
     TableLayout,
-    delimiter_of,
-    fields_of,
     first_lines,
-    known_names,
+    header_names,
     laid_out,
     quoted,
     read_rows,
@@ -129,9 +127,7 @@ def read_table(
 
 def likeness(header: str) -> int:
     """How many of the needed columns a header has, or has something like."""
-    known = (*BOX_NEEDED, *OPTIONAL)
-    names = known_names(fields_of(header, delimiter_of(header, known)), known)
-    return len(_nearest_names(BOX_NEEDED, names))
+    return len(_nearest_names(BOX_NEEDED, header_names(header, (*BOX_NEEDED, *OPTIONAL))[0]))
 
 
 def _nearest_names(wanted: Iterable[str], present: Iterable[str]) -> dict[str, str]:

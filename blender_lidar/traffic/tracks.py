@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from .vehicles import CLASSES, HEIGHTS_M, LONG_TRUCK_M, VAN_LONGER_THAN_M
+from .vehicles import CLASSES, FLEET_KINDS, HEIGHTS_M, VAN_LONGER_THAN_M, fleet_kind
 
 # --- Which way vehicles point, from where they have been: NGSIM records no heading ------------------------
 # Local straight-line fits over a moving window, as a Savitzky-Golay filter of 3.1 s; a speed gate below which a
@@ -231,6 +231,4 @@ def class_index(v_class: np.ndarray, length_m: np.ndarray) -> np.ndarray:
 def heights(index: np.ndarray, length_m: np.ndarray, height_m: Mapping[str, float] | None = None) -> np.ndarray:
     """Heights [m], (n,), from indices into `CLASSES` and lengths [m]; `height_m` replaces those of `HEIGHTS_M`."""
     table = {**HEIGHTS_M, **(height_m or {})}
-    result = np.array([table[name] for name in CLASSES])[index]
-    result[(index == CLASSES.index("truck")) & (length_m >= LONG_TRUCK_M)] = table["long_truck"]
-    return result
+    return np.array([table[kind] for kind in FLEET_KINDS])[fleet_kind(index, length_m)]

@@ -119,7 +119,17 @@ CLASSES = ("car", "van", "truck", "bus", "motorcycle")
 VAN_LONGER_THAN_M = 4.9
 LONG_TRUCK_M = 9.0  # from this length on a truck is an articulated one
 HEIGHTS_M = {"car": 1.5, "van": 1.9, "truck": 3.0, "long_truck": 3.8, "bus": 3.2, "motorcycle": 1.4}
-"""Heights by kind [m], for recordings that have none; a ``long_truck`` is one of `LONG_TRUCK_M` or more."""
+"""Heights by kind [m], for recordings that have none."""
+FLEET_KINDS = (*CLASSES, "long_truck")
+"""The kinds of vehicles by whose heights and shapes a fleet is made."""
+
+
+def fleet_kind(class_index: np.ndarray, length_m: np.ndarray) -> np.ndarray:
+    """Index into `FLEET_KINDS`, (n,): the class, and for trucks whether they are articulated."""
+    is_long = (class_index == CLASSES.index("truck")) & (length_m >= LONG_TRUCK_M)
+    return np.where(is_long, len(CLASSES), class_index)
+
+
 _COLUMNS = {
     "vehicle_id": np.int64,
     "class_index": np.int8,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..traffic.fleet import BODIES, FLEET, fleet_kind
-from ..traffic.vehicles import Vehicles
+from ..traffic.fleet import BODIES, FLEET
+from ..traffic.vehicles import FLEET_KINDS, Vehicles, fleet_kind
 from .shapes import shape
 
 STATIC = -1  # owner of what belongs to no vehicle
@@ -73,10 +73,9 @@ def _check_boxes(vehicles):
 
 def shape_names(vehicles: Vehicles) -> np.ndarray:
     """Name of the shape of each vehicle, (n,) str."""
-    bodies = [0] * len(vehicles) if vehicles.body is None else vehicles.body.tolist()
-    each = zip(vehicles.class_name.tolist(), vehicles.size_m[:, 0].tolist(), bodies, strict=True)
-    usual = (BODIES[body - 1] if body else FLEET[fleet_kind(name, length)][0].name for name, length, body in each)
-    return np.array(list(usual), dtype=str)
+    kind = fleet_kind(vehicles.class_index, vehicles.size_m[:, 0])
+    usual = np.array([FLEET[name][0].name for name in FLEET_KINDS])[kind]
+    return usual if vehicles.body is None else np.where(vehicles.body, np.array(BODIES)[vehicles.body - 1], usual)
 
 
 def place(unit_points: np.ndarray, centre: np.ndarray, size: np.ndarray, heading: np.ndarray) -> np.ndarray:

@@ -26,8 +26,7 @@ import numpy as np
 
 from blender_lidar.errors import InputError
 from blender_lidar.studies.recorded import LabelledBoxes, RecordedFrame, Rings
-from blender_lidar.traffic.fleet import fleet_kind
-from blender_lidar.traffic.vehicles import VAN_LONGER_THAN_M
+from blender_lidar.traffic.vehicles import CLASSES, FLEET_KINDS, VAN_LONGER_THAN_M, fleet_kind
 
 KITTI_MARGIN_M = (0.15, 0.06, 0.01)
 """By how much KITTI's labels are longer, wider and higher than the cars in them [m], fitted to 59 of its cars."""
@@ -98,7 +97,7 @@ def _shape_of(label: str, length_m: float) -> str:
     name = _CLASS_OF.get(label)
     if name == "car" and length_m > VAN_LONGER_THAN_M:
         name = "van"
-    return "" if name is None else fleet_kind(name, length_m)
+    return "" if name is None else FLEET_KINDS[fleet_kind(CLASSES.index(name), length_m)]
 
 
 # --- Rings from the order of the points -------------------------------------------------------------------------------
