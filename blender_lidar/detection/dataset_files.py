@@ -33,7 +33,8 @@ from ..files import (
 from ..names import DATASET_LAYOUTS
 from ..scene.mounting import MOUNTED
 from ..scene.provenance import check_identity
-from ..traffic.source import Column, laid_out, read_rows
+from ..traffic.header import laid_out
+from ..traffic.source import Column, read_rows
 from ..traffic.table import BOX_COLUMNS
 from ..traffic.vehicles import CLASSES
 from .dataset import TRAIN, VAL, DatasetPlan, Sample, sample

@@ -16,7 +16,8 @@ from ..files import make_folder, read_text, reading, write_columns, write_text
 from ..road.road_map import wrap_angle
 from ..sensors.pose import Pose
 from ..traffic.boxes import KINDS, DetectedBoxes, boxes_of_rows, join_boxes
-from ..traffic.source import Column, Rows, laid_out, read_rows
+from ..traffic.header import laid_out
+from ..traffic.source import Column, Rows, read_rows
 from ..traffic.vehicles import Vehicles
 
 _CAR, _LARGE, _SMALL = range(len(KINDS))

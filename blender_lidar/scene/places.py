@@ -13,7 +13,8 @@ import numpy as np
 from ..errors import InputError, shown
 from ..road.straight import StraightRoad, road_map
 from ..toml_table import TomlTable
-from ..traffic.source import Column, laid_out, read_rows
+from ..traffic.header import laid_out
+from ..traffic.source import Column, read_rows
 from . import usual
 from .deployment import (
     COORDINATE_LIMITS,

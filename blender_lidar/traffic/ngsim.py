@@ -14,7 +14,8 @@ import numpy as np
 from ..errors import InputError, unknown_name
 from ..files import number
 from ..road import StraightRoad
-from .source import EMPTY, Column, Rows, TableLayout, fields_of, first_lines, header_names, laid_out, read_rows
+from .header import TableLayout, fields_of, header_names, laid_out
+from .source import EMPTY, Column, Rows, first_lines, read_rows
 from .tracks import (
     WINDOW_S,
     class_index,
@@ -243,7 +244,7 @@ def read_location(
     Parameters
     ----------
     path : path
-    layout : Layout
+    layout : TableLayout
         How the file is written.
     location : str, optional
         Which one of a file that mixes several, in any letter case. A file without that column is taken whole.

@@ -16,14 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, MissingExtraError
+from .header import TableLayout, delimiter_of, fields_of
 from .source import (
     MAX_ROWS,
     Column,
     Rows,
-    TableLayout,
     codes,
-    delimiter_of,
-    fields_of,
     first_lines,
     open_bytes,
     read_rows,

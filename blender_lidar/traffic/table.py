@@ -30,18 +30,8 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from ..files import number
-from .source import (
-    Column,
-    Rows,
-    TableLayout,
-    first_lines,
-    header_names,
-    laid_out,
-    quoted,
-    read_rows,
-    vehicle_ids,
-    vehicle_numbers,
-)
+from .header import TableLayout, header_names, laid_out
+from .source import Column, Rows, first_lines, quoted, read_rows, vehicle_ids, vehicle_numbers
 from .tracks import drop_repeats
 from .vehicles import CLASSES, Placing, Recording, RepairReport
 
