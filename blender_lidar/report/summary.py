@@ -138,7 +138,8 @@ def region_text(region: Mapping) -> str:
     else:
         x, y = region["centre_m"]
         text = f"within {region['radius_m']:g} m of x {x:g} m, y {y:g} m"
-    return text + (f", less {len(region['keep_out'])} that are kept out" if region["keep_out"] else "")
+    keep_out = region["keep_out"]
+    return text + (f", without {counted(len(keep_out), 'keep-out polygon')}" if keep_out else "")
 
 
 def imperfections_text(imperfections: Mapping[str, float | None]) -> str:
