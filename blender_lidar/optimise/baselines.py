@@ -78,7 +78,7 @@ class RandomSearch(_ListSearch):
 
     name: ClassVar[str] = "random"
 
-    def __init__(self, lower: np.ndarray, upper: np.ndarray, *, seed: int, evaluations: int = 2000) -> None:
+    def __init__(self, lower: np.ndarray, upper: np.ndarray, *, seed: int, evaluations: int) -> None:
         super().__init__(lower, upper, budget=check_whole(evaluations, 1, "evaluations"))
         self._list = uniform(generator(seed), self.budget, self.lower, self.upper)
 

@@ -120,7 +120,6 @@ class StudyFolder:
         with folder_lock(self.path):
             self.check(resume=resume)  # again: another run may have come between the first check and the lock
             if not self.file(IDENTITY).exists():
-                make_folder(self.path, "--out")
                 write_text(self.file(IDENTITY), json.dumps(self._identity, indent=2) + "\n")
             make_folder(self.file(STAGES), "--out")
             sweep(self.file(STAGES))
