@@ -124,15 +124,12 @@ _LOOSE = 1e-9  # relative: and are entered so much sooner and left so much later
 
 
 class BoxTree(NamedTuple):
-    """Bounding volume hierarchy as compiled code takes it; without any triangle `order` is empty."""
+    """Bounding volume hierarchy as compiled code takes it."""
 
     low: np.ndarray
     high: np.ndarray
     order: np.ndarray
     planes: np.ndarray
-
-
-NO_BOXES = BoxTree(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=np.int64), np.empty((0, 13)))
 
 
 class RayTree:

@@ -410,11 +410,9 @@ class StandingScenery:
         return caster_class(self._caster)(self.scenery.corners, closed=False)
 
     @cached_property
-    def occluders(self) -> tuple[np.ndarray, BoxTree]:
-        """What compiled code needs to test for occlusion: the origin of coordinates (3,) [m], and the tree."""
-        from .kernels import NO_BOXES
-
-        return self.tree.origin, self.tree.ray_tree.boxes if len(self.tree.rows) else NO_BOXES
+    def occluders(self) -> tuple[np.ndarray, BoxTree | None]:
+        """What compiled code needs to test for occlusion: the origin of coordinates (3,) [m], and the tree, if any."""
+        return self.tree.origin, self.tree.ray_tree.boxes if len(self.tree.rows) else None
 
     def met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
         """First hits of rays from an `origin` (3,) [m] along unit `directions` (n, 3) within `reach_m` [m].

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..casting import RASTER
 from ..casting.culling import ray_directions, reachable_beams
-from ..casting.kernels import NO_BOXES, BoxTree, directions_of, hidden, is_inside, signed_distance, to_world
+from ..casting.kernels import BoxTree, directions_of, hidden, is_inside, signed_distance, to_world
 from ..casting.protocol import MISS
 from ..casting.rasterise import rasterise, undecided_beams
 from ..casting.tree import EDGE_ON
@@ -99,7 +99,7 @@ class CompiledScorer:
         centre, heading = np.ascontiguousarray(vehicles.centre_m), vehicles.heading_rad
         of_grids = grids.half_m, grids.cell_m, grids.cells, grids.start, grids.words
         boxes = Boxes(centre, np.cos(heading), np.sin(heading), *of_grids)
-        occluder_origin, occluders = (caster.origin, NO_BOXES) if scenery is None else scenery.occluders
+        occluder_origin, occluders = (caster.origin, None) if scenery is None else scenery.occluders
         self._origins = -np.stack([caster.origin, np.zeros(3), occluder_origin])
         self.lidars = [
             FrameLidar(
@@ -138,7 +138,9 @@ class CompiledScorer:
     def _rasterise(self, lidar, poses, *into):
         """Add what a LiDAR sees from some poses to their rows."""
         origins = np.array([pose.position for pose in poses])[:, None] + self._origins
-        mountings = origins, np.array([pose.rotation for pose in poses]), lidar.components
+        rotations = np.array([pose.rotation for pose in poses])
+        rotations.flags.writeable = False  # as a pose's own: to Numba that is a type, and all is compiled once
+        mountings = origins, rotations, lidar.components
         with self._caster.rasterising(lidar.lattice, len(poses)) as (mesh, _, *needed):
             _see_revolutions(mesh, *needed, lidar.reach_m, *mountings, *lidar.scene, *into)
 
@@ -193,7 +195,7 @@ def mark_returns(
         The sensor's place as the targets, the boxes and the occluders count it [m].
     rotation, components : ndarray, (3, 3) and (3, b)
         The sensor's orientation, and the lattice's beams.
-    targets, measurement, occluders, boxes : Targets, MeasurementModel, BoxTree, Boxes
+    targets, measurement, occluders, boxes : Targets, MeasurementModel, BoxTree or None, Boxes
     bits : ndarray of uint64
         As for `mark_points`.
     count : ndarray of int64, (n,)
@@ -206,12 +208,12 @@ def mark_returns(
     certain : bool
         Whether no occlusion is left to rounding; if one is, what was counted is worth nothing.
     """
-    known, hides = len(decided) > 0, len(occluders.order) > 0
+    known = len(decided) > 0
     imperfect = (
         len(measurement.noise_m) > 0 or measurement.glass_loss > 0.0 or measurement.range_at_10_percent_m < np.inf
     )
     column, target, beam_of = np.empty(9 * _BLOCK), np.empty(_BLOCK, np.uint32), np.empty(_BLOCK, np.uint32)
-    lost = np.empty(_BLOCK if hides else 0, dtype=np.int8)
+    lost = np.empty(_BLOCK, dtype=np.int8)
     doubtful, left = np.empty(len(beams) if leaky else 0, dtype=np.int64), 0
     for first in range(0, len(beams), _BLOCK):
         some = beams[first : first + _BLOCK]
@@ -223,8 +225,10 @@ def mark_returns(
             left = _leave_leaks(found, origins[0], targets, beam_of, target, column, doubtful, left)
         if imperfect:
             _make_imperfect(found, measurement, targets, beam_of, target, column)
-        if hides and not _hide(found, origins[2], occluders, column, lost):
-            return doubtful[:left], False
+        # Alone in its line, so that Numba compiles `_hide` only where something stands.
+        if occluders is not None:  # noqa: SIM102
+            if not _hide(found, origins[2], occluders, column, lost):
+                return doubtful[:left], False
         _mark(found, measurement, origins[1], targets.vehicle, boxes, target, column, bits, count)
     return doubtful[:left], True
 
