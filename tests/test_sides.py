@@ -217,6 +217,17 @@ def test_a_gantry_keeps_its_clearance_and_any_other_mast_over_a_lane_is_refused(
 
 
 @pytest.mark.parametrize(
+    ("median_m", "said"), [(5.0, "in the middle of the median, y 11.5 m"), (0.0, "lane line, y 9 m")]
+)
+def test_a_barrier_is_tried_between_the_carriageways_and_said_to_be_there(median_m, said, tmp_path):
+    pytest.importorskip("scipy")
+    from blender_lidar.studies.variations import ablations
+
+    two_way = site(tmp_path, road={"median_m": median_m})
+    assert ablations(two_way, 1)[0].value.endswith(said)
+
+
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         ("[road]\nmedian_m = 3.0\n", "median_m: is given for one carriageway"),

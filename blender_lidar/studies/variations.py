@@ -340,7 +340,8 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
 
     road, (right, left) = site.scenario.road_map, site.scenario.road_map.edges_t
     middle = right + (left - right) / len(road) * (len(road) // 2)
-    barrier_at = f"on the middle lane line, y {middle:g} m"
+    where = "in the middle of the median" if site.scenario.road.median_m else "on the middle lane line"
+    barrier_at = f"{where}, y {middle:g} m"
     with_barrier = Variation(ABLATION, "median barrier", barrier_at, partial(_with_barrier, y_m=middle))
     return [
         Ablation("median barrier", barrier_at, ((own, with_barrier),)),
