@@ -186,11 +186,6 @@ def test_a_stride_out_of_range_is_refused(stride):
         beam_lattice(load_model("RS-16"), stride=stride)
 
 
-def test_a_rate_the_sensor_does_not_have_is_refused():
-    with pytest.raises(InputError, match="does not turn at 15"):
-        beam_lattice(load_model("RS-80"), 15)
-
-
 def test_a_lattice_cannot_be_changed_and_survives_pickling():
     lattice = beam_lattice(load_model("RS-16"))
     with pytest.raises(ValueError, match="read-only"):

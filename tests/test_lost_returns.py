@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from blender_lidar.casting import CASTERS, caster_class, is_available
+from blender_lidar.casting import caster_class
 from blender_lidar.casting.protocol import StandingScenery
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
@@ -282,20 +282,3 @@ def test_mountings_together_and_one_by_one_see_the_same():
     together, alone = seen(WEAK, poses=poses), [seen(WEAK, poses=[pose]) for pose in poses]
     np.testing.assert_array_equal(together.points, np.concatenate([each.points for each in alone]))
     np.testing.assert_array_equal(together.occupancy, np.concatenate([each.occupancy for each in alone]))
-
-
-@pytest.mark.parametrize("caster", [name for name in CASTERS if name != "exact"])
-@pytest.mark.parametrize(
-    ("detail", "loss"), [("body", "none"), ("detailed", "half and drop-out"), ("detailed", "weak")]
-)
-def test_every_caster_loses_the_same(caster, detail, loss):
-    if not is_available(caster):
-        pytest.skip(f"the library of {caster} is not installed")
-    dropout, glass_dropout = ODDS.get(loss, (0.0, 0.0))
-    imperfections = WEAK if loss == "weak" else Imperfections(dropout=dropout, glass_dropout=glass_dropout)
-    fast, exact = (seen(imperfections, detail, each) for each in (caster, "exact"))
-    np.testing.assert_array_equal(fast.points, exact.points)
-    np.testing.assert_array_equal(fast.occupancy, exact.occupancy)
-    np.testing.assert_array_equal(
-        *(beams_of(cloud_of(imperfections, detail, caster=each)) for each in (caster, "exact"))
-    )
