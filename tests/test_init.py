@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.cli import main
-from blender_lidar.commands.init import _path, _text
+from blender_lidar.commands.init import _path, _road_lines, _text
 from blender_lidar.errors import InputError
 from blender_lidar.road import StraightRoad
 from blender_lidar.scene.scenario import load_scenario, shipped_scenes
@@ -227,6 +227,9 @@ def test_both_carriageways_and_the_side_that_is_driven_on_are_found(form, headin
     assert off == pytest.approx(-kerb if side == "right" else kerb, abs=0.3)
     assert layout.lane_y == pytest.approx(road.setback_m + 1.75 + np.array([0.0, 3.5, 14.5, 18.0]), abs=0.3)
     assert not any("another carriageway" in note for note in layout.notes)
+    if form == "sumo":
+        (lanes,) = (line for line in _road_lines(layout, form) if line.startswith("lanes"))
+        assert f"the file's lanes {'1, 2' if side == 'right' else '2, 1'} along x;" in lanes
 
 
 def test_carriageways_that_differ_are_one_and_another(tmp_path):

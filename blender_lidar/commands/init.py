@@ -187,7 +187,8 @@ def _placing_lines(layout: RoadLayout) -> list[str]:
 def _road_lines(layout: RoadLayout, kind: str) -> list[str]:
     road, widths = layout.road, np.diff(layout.lane_y)
     centres = ", ".join(f"{one:.1f}" for one in layout.lane_y)
-    numbers = f", the file's lanes {', '.join(map(str, layout.lane_numbers))}" if layout.lane_numbers else ""
+    along = " along x" if road.carriageways == 2 else ""  # those of the other one are not known
+    numbers = f", the file's lanes {', '.join(map(str, layout.lane_numbers))}{along}" if layout.lane_numbers else ""
     widths = widths[widths <= LANE_WIDTHS_M[1]]  # without the median
     apart = f"from lane centres {widths.min():.2f} to {widths.max():.2f} m apart" if len(widths) else ""
     why = "usual" if road.setback_m == SETBACK_M else f"at {SETBACK_M:g} m the pole would stand in traffic"
