@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from blender_lidar.errors import InputError
+from blender_lidar.errors import InputError, OutputError
 from blender_lidar.files import folder_lock
 from blender_lidar.scene.provenance import run_identity
 from blender_lidar.scene.scenario import load_scenario
@@ -125,3 +125,8 @@ def test_the_identity_is_stored_as_it_was_given(tmp_path):
         pass
     assert json.loads((tmp_path / IDENTITY).read_text()) == SETTINGS | {"grid": [2, 3]}
     StudyFolder(tmp_path, SETTINGS | {"grid": (2, 3)}).check(resume=True)
+
+
+def test_a_folder_whose_name_is_too_long_is_refused_in_one_line(tmp_path):
+    with pytest.raises(OutputError, match="the folder cannot be made: File name too long"):
+        StudyFolder(tmp_path / ("x" * 300), SETTINGS).check()

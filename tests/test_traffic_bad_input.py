@@ -80,6 +80,11 @@ def test_a_missing_column(tmp_path, columns, column):
     assert f"FILE:1: no column {column}; needed: Vehicle_ID, Frame_ID" in refused(path)
 
 
+def test_a_header_alone(tmp_path, columns):
+    path = ngsim.write(tmp_path, ngsim.api(columns).splitlines()[0] + "\n")
+    assert refused(path) == "FILE: no rows below the header in line 1"
+
+
 BAD_VALUES = [
     (5, "abc", "Local_X is 'abc'; allowed: feet"),
     (6, "NaN", "Local_Y is 'NaN'; allowed: feet"),
