@@ -384,6 +384,15 @@ def test_a_lane_number_of_both_directions_is_two_lanes():
     assert names == {"no lane": [5], "lane 1, towards +x": [0, 1], "lane 1, towards -x": [2, 3], "lane 2": [4]}
 
 
+@pytest.mark.parametrize("axis_deg", [0.0, 45.0, 90.0, 133.0])
+@pytest.mark.parametrize(("against", "lanes_found"), [(0, 1), (2, 1), (100, 2)])
+def test_a_lane_of_any_direction_is_one_until_enough_drive_against_it(axis_deg, against, lanes_found):
+    heading = axis_deg + np.random.default_rng(1).normal(0.0, 2.0, 1000) + 180.0 * (np.arange(1000) < against)
+    found = lanes({"lane": np.ones(1000, dtype=int), "heading_deg": heading})
+    assert len(found) == lanes_found
+    assert sorted(int(rows.sum()) for _, rows in found) == ([1000] if lanes_found == 1 else [against, 1000 - against])
+
+
 def verdict(holdout, block):
     blocks = {"search_block": np.arange(len(FRAMES)), "holdout_block": np.array(block, dtype=np.int64)}
     zeros = {name.replace("block", "recording"): np.zeros_like(of) for name, of in blocks.items()}

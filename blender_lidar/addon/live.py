@@ -133,7 +133,7 @@ def _begin(scene, layer, lidar) -> _Shown:
     if cloud is not None and cloud.name in layer.objects:
         cloud.hide_set(True, view_layer=layer)
     for item in scene.objects:  # what else is ours keeps its look
-        if role(item) not in (None, VEHICLE) and item.active_material is not None:
+        if role(item) not in (None, VEHICLE):
             wear_own_paint(item)
     _colour_solid("MATERIAL", "OBJECT")
     return _Shown(session.uid_of(scene))

@@ -155,7 +155,7 @@ def _stability(subparsers) -> None:
         "i80 --height 4.1 --tilt-x 19",
         run="studies.run_stability",
     )
-    add_scene(parser)
+    add_scene(parser, leave_out=("--fidelity", "--seeds"))  # it has fidelities and seeds of its own
     add_pose(parser, on_poles=False)  # a study is about one place
     _output(parser, resumed="study", quick="few frames, coarse grids, short searches")
 
@@ -172,7 +172,7 @@ def _chart(subparsers) -> None:
         "i80 --max-regret 0.5% --sensor RS-80",
         run="studies.run_chart",
     )
-    add_scene(parser, leave_out=("--tolerance", "--search", "--particles", "--iterations"))
+    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--tolerance"))
     add = parser.add_argument_group("chart").add_argument
     regret = "share of the gain over the baseline that a cheaper model may cost, above 0 up to 100%%: 1%% or 0.01 "
     regret += "(default 1%%)"

@@ -464,14 +464,21 @@ _MEANT_SHARE = 0.05  # of the vehicles of a lane; fewer that head another way ar
 def lanes(table: dict[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
     """Names of the lanes that hold vehicles, and which rows of a vehicle table each holds.
 
-    A number that is of several lanes, as where each direction of travel counts from its own kerb, is split by headings.
+    A number that is of two lanes, as where each direction of travel counts from its own kerb, is split by headings.
     """
-    found, quarter = [], np.rint(table["heading_deg"] / 90.0).astype(int) % 4
+    found, towards = [], np.exp(1j * np.radians(table["heading_deg"]))
     for number in np.unique(table["lane"]):
         rows, name = table["lane"] == number, f"lane {number}" if number else "no lane"
-        ways, counts = np.unique(quarter[rows], return_counts=True)
-        if number and (counts >= _MEANT_SHARE * counts.sum()).sum() > 1:
-            found += [(f"{name}, towards {_QUARTERS[way]}", rows & (quarter == way)) for way in ways]
+        axis = np.sqrt((towards[rows] ** 2).sum())  # of both ways, as their doubled angles are one
+        along = (towards * axis.conj()).real > 0.0
+        ways = {_way(towards[one]): one for one in (rows & along, rows & ~along) if one.any()}
+        if number and min(one.sum() for one in ways.values()) >= _MEANT_SHARE * rows.sum() and len(ways) > 1:
+            found += [(f"{name}, towards {_QUARTERS[way]}", ways[way]) for way in sorted(ways)]
         else:
             found.append((name, rows))
     return found
+
+
+def _way(towards):
+    """The quarter of the circle about the mean of directions, unit complex numbers."""
+    return round(float(np.degrees(np.angle(towards.sum()))) / 90.0) % 4

@@ -193,8 +193,9 @@ def paint_of(vehicle_class: str) -> bpy.types.Material:
 
 
 def wear_own_paint(item: bpy.types.Object) -> None:
-    """Let the colour of an object be that of its first material."""
-    item.color = item.active_material.diffuse_color
+    """Let the colour of an object be that of its first material, where it has any."""
+    if item.material_slots and (material := item.material_slots[0].material) is not None:
+        item.color = material.diffuse_color
 
 
 def glass() -> bpy.types.Material:

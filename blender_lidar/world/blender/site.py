@@ -44,10 +44,8 @@ def check_version(path: Path) -> None:
 
 def _first_bytes(path: Path) -> bytes:
     """The first bytes of a file, unpacked; none of a file that cannot be unpacked."""
-    with (
-        suppress(Exception),
-        path.open("rb") as stream,
-    ):  # each unpacker raises its own; Blender reports what is damaged
+    # Each unpacker raises its own errors; Blender reports what is damaged.
+    with suppress(Exception), path.open("rb") as stream:
         start = stream.read(_HEADER_BYTES)
         stream.seek(0)
         if start.startswith(_GZIP):
