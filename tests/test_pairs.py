@@ -303,7 +303,7 @@ def test_studies_start_from_the_scores_of_evaluate_or_say_what_they_are_about(ra
     pytest.importorskip("scipy", reason="studies need SciPy")
     monkeypatch.setattr("blender_lidar.commands.studies.QUICK_CHART", TINY_CHART)
     monkeypatch.setattr("blender_lidar.commands.studies.QUICK_STABILITY", TINY_STABILITY)
-    words = {"chart": ("--quick",), "stability": ("--quick", *ran.mounting)}
+    words = {"chart": ("--quick",), "stability": ("--quick", *ran.hung(ran.result["deployment"]))}
     if len(ran.settings.recordings) > 1:
         for name, more in words.items():
             code, _, err = cli(capsys, name, ran.scene, *more, "--out", tmp_path / name)
