@@ -163,5 +163,5 @@ def _draw_times(axes, times: Sequence[Timing]) -> None:
     axes.set_ylim(len(times) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0.0)
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_xlabel("Milliseconds: median and quartiles over repeats; filled: ours, open: others")
+    axes.set_xlabel("Milliseconds, median and quartiles (filled: ours)")
     axes.grid(visible=True, axis="x")
