@@ -7,18 +7,21 @@ import re
 import subprocess
 import sys
 import textwrap
+import tomllib
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 import blender_lidar
+import tests.research  # noqa: F401
 from blender_lidar import names
 from blender_lidar.casting import CASTERS, caster_class, is_available
 from blender_lidar.clouds.files import WRITERS
 from blender_lidar.detection.dataset_files import DATASET_WRITERS
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.optimise import DePso, GridSearch, Hardened, RandomSearch
+from seeded_faults import FAULTS, not_there
 from tests import traffic_samples
 from tests.small_scene import write_scene
 from tests.waiting import WAIT_S
@@ -319,3 +322,9 @@ def test_help_needs_the_standard_library_alone(verb):
     command = [sys.executable, "-c", textwrap.dedent(program), *([verb] if verb else [])]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=WAIT_S, check=True)
     assert done.stdout.endswith("imported: []\n")
+
+
+def test_every_seeded_fault_has_its_place_in_the_code_and_its_tests():
+    faults = tomllib.loads(FAULTS.read_text(encoding="utf-8"))["fault"]
+    assert len(faults) >= 56
+    assert [text for fault in faults if (text := not_there(ROOT, fault))] == []

@@ -169,7 +169,10 @@ def test_on_a_gantry_in_a_fall_heights_count_from_the_road(tmp_path):
 
 def test_a_mast_beside_the_lanes_of_a_gantry_scene_needs_no_clearance(tmp_path):
     gantry = site(tmp_path, deployment={"side": "gantry", "height_m": [5.0, 7.0]})
-    prepare(gantry.scenario, [gantry.scenario.mounting({"y_m": 0.0, "height_m": 3.0})])
+    beside, over = (gantry.scenario.mounting({"y_m": y_m, "height_m": 3.0}) for y_m in (0.0, 7.0))
+    assert prepare(gantry.scenario, [beside]).scenario is gantry.scenario
+    with pytest.raises(InputError, match="hangs 3 m over the lanes"):
+        prepare(gantry.scenario, [over])
 
 
 def test_two_places_may_search_the_same_coordinates():
