@@ -12,7 +12,7 @@ import sys
 import textwrap
 import threading
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 
@@ -61,8 +61,30 @@ def own_cluster(tmp_path):
 
 
 def on_each_worker(started, function, workers=None):
-    with distributed.Client(started.address, set_as_default=False) as client:
+    with connected(started.address) as client:
         return client.run(function, workers=workers)
+
+
+def connected(address):
+    """A client; dask refuses a greeting that comes together with news of a worker."""
+    for _ in range(5):
+        with suppress(AssertionError):
+            return distributed.Client(address, set_as_default=False)
+    return pytest.fail("no client can be made")
+
+
+def test_a_greeting_that_dask_refuses_is_asked_for_again(cluster, monkeypatch):
+    client, refused = distributed.Client, [AssertionError(), AssertionError()]
+
+    def sometimes(*given, **named):
+        if refused:
+            raise refused.pop()
+        return client(*given, **named)
+
+    monkeypatch.setattr(distributed, "Client", sometimes)
+    with closing(ClusterWorkers(square, cluster.address)) as workers:
+        assert squares(workers) == SQUARES
+    assert not refused
 
 
 def kept(started):

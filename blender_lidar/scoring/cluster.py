@@ -36,6 +36,7 @@ _NOBODY_S = 30.0  # what it may take to start a worker again that died
 _LOOK_ROUND_S, _AGAIN_S = 2.0, 0.1
 _LEAST_ITEMS = 16  # of a task, which costs some milliseconds
 _TASKS_PER_WORKER = 4  # few enough to amortise a task, enough to even out uneven ones
+_TRIES = 5
 _LOST = ("cancelled", "lost")
 _LIBRARIES = ("numpy", "embreex", "numba", "bpy", "distributed")  # which may alter digits, or how we talk
 _LOGGERS = ("distributed", "distributed.client", "distributed.worker", "tornado.application")
@@ -169,6 +170,9 @@ class ClusterWorkers:
                     raise ValueError(f"there is a {kind}")
                 warnings.simplefilter("ignore")  # `_check_alike` says which versions differ
                 how = {"timeout": _ANSWER_S, "set_as_default": False, "name": "blender_lidar"}
+                for _ in range(_TRIES - 1):
+                    with suppress(AssertionError):  # dask's greeting may come together with news of a worker
+                        return self._distributed.Client(self.address, **how)
                 return self._distributed.Client(self.address, **how)
         except Exception as error:  # something else may listen there
             raise WorkerError(
