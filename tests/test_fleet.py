@@ -14,9 +14,18 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import TrafficSettings
 from blender_lidar.scene.site import prepare, read_recording, read_recordings
 from blender_lidar.scoring import frame_scorer
-from blender_lidar.studies.variations import CAR, SIZE_M, TRUCK, queued, turned_into
 from blender_lidar.traffic import overlapping_pairs
-from blender_lidar.traffic.fleet import BODIES, FLEET, KIND_OF_BODY, with_variety
+from blender_lidar.traffic.fleet import (
+    BODIES,
+    CAR,
+    FLEET,
+    KIND_OF_BODY,
+    SIZE_M,
+    TRUCK,
+    queued,
+    turned_into,
+    with_variety,
+)
 from blender_lidar.traffic.vehicles import CLASSES, FLEET_KINDS, HEIGHTS_M, Recording, RepairReport, fleet_kind
 from blender_lidar.world.triangles import shape_names
 from tests.sample_traffic import dense_traffic

@@ -12,12 +12,13 @@ from blender_lidar.detection.judge import watched
 from blender_lidar.errors import InputError
 from blender_lidar.report.installation import _bearing
 from blender_lidar.road.straight import road_map
+from blender_lidar.run.what_if import jammed
 from blender_lidar.scene import deployment, places, scenario
 from blender_lidar.scene.mount_checks import check_mount_is_clear
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
-from blender_lidar.studies.variations import _jammed, _with_barrier
+from blender_lidar.studies.variations import _with_barrier
 from tests.small_scene import traffic_rows, write_scene, write_table
 
 QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # a quarter turn to the left, for rows
@@ -101,7 +102,7 @@ def test_detectors_look_at_the_same_places(sites):
 
 
 def test_queues_close_up_and_a_barrier_stands_along_it(sites):
-    one, other = (_jammed(site, 0) for site in sites)
+    one, other = (jammed(site) for site in sites)
     for before, after in zip(one.search, other.search, strict=True):
         same_vehicles(before.vehicles, after.vehicles)
     one, other = (_with_barrier(site, 5.5).observation.scenery.scenery.corners for site in sites)

@@ -7,8 +7,7 @@ they are turned into others, and queue up again with the gaps that they are give
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,12 +17,11 @@ from ..casting.protocol import StandingScenery
 from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
-from ..road.road_map import RoadMap
-from ..scene.observation import CountedFrame
+from ..run.what_if import JAM_GAPS_M, jammed, thinned, with_traffic
 from ..scene.site import Site, lattice_of
 from ..scoring.fidelity import Fidelity, coarse_observation
 from ..sensors.beams import beam_lattice
-from ..traffic.vehicles import CLASSES, Vehicles
+from ..traffic.fleet import BUS, CAR, TRUCK, VAN, turned_into
 from ..world.scenery import along_road, barrier, join
 from ..world.shapes import DETAILS
 from .driver import Variation
@@ -34,22 +32,14 @@ SECTIONS = (TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH)
 # --- traffic: lighter, denser, and other shares of lorries ------------------------------------------------------------
 
 SHARES_KEPT = {"light: a quarter of it": 0.25, "medium: half of it": 0.5}
-JAM_GAPS_M = (1.0, 2.5)
 TRUCK_SHARES = (0.0, 0.1, 0.3)
-CAR, VAN, TRUCK, BUS = (CLASSES.index(name) for name in ("car", "van", "truck", "bus"))
-SIZE_M = {TRUCK: (12.7, 2.59, 3.8), CAR: (4.5, 2.1, 1.5)}  # I-80's median lorry, as high as NGSIM's get, and car
-_BETWEEN = -(10**9)  # number of the strip next to the left carriageway, between both
-_ALONG = np.cos(np.radians(30.0))  # of the heading off the lane's: what drives across the road does not queue
-
-Gaps = Callable[[np.ndarray], np.ndarray]
-"""New bumper gaps from old ones [m]; negative where vehicles overlap."""
 
 
 def traffic_variations(draws: int) -> list[Variation]:
     """The recording's traffic thinned, jammed, and with other shares of lorries; what is drawn `draws` times over."""
     numbers = range(1, draws + 1)
-    changes = [("density", text, partial(_light, share=share), numbers) for text, share in SHARES_KEPT.items()]
-    changes.append(("density", f"jammed: gaps of {JAM_GAPS_M[1]:g} m at most", _jammed, (0,)))
+    changes = [("density", text, partial(thinned, share=share), numbers) for text, share in SHARES_KEPT.items()]
+    changes.append(("density", f"jammed: gaps of {JAM_GAPS_M[1]:g} m at most", jammed, (0,)))
     for share in TRUCK_SHARES:  # no lorries at all is no draw
         changes.append(
             ("lorries", f"{100 * share:g} %", partial(_with_trucks, share=share), numbers if share else (0,))
@@ -61,17 +51,6 @@ def traffic_variations(draws: int) -> list[Variation]:
     ]
 
 
-def _light(site: Site, share: float, seed: int) -> Site:
-    ids = np.unique(site.recording.vehicle_id)
-    kept = ids[np.random.default_rng(seed).random(len(ids)) < share]
-    return _with_traffic(site, lambda vehicles: vehicles.select(np.isin(vehicles.vehicle_id, kept)))
-
-
-def _jammed(site: Site, seed: int) -> Site:
-    """The site with queues that close up; nothing is drawn."""
-    return _with_traffic(site, lambda vehicles: vehicles, lambda gaps: np.clip(gaps, *JAM_GAPS_M), site.reach_m)
-
-
 def _with_trucks(site: Site, share: float, seed: int) -> Site:
     """The site with that share of lorries and buses among its vehicles: others turn into them, or they into cars."""
     ids, first = np.unique(site.recording.vehicle_id, return_index=True)
@@ -81,120 +60,7 @@ def _with_trucks(site: Site, share: float, seed: int) -> Site:
     some = ids[large] if missing < 0 else ids[np.isin(kind, (CAR, VAN))]
     changed = np.random.default_rng(seed).choice(some, min(abs(missing), len(some)), replace=False)
     turned = partial(turned_into, ids=changed, kind=CAR if missing < 0 else TRUCK)
-    return _with_traffic(site, turned, lambda gaps: gaps)
-
-
-def _with_traffic(
-    site: Site, change: Callable[[Vehicles], Vehicles], gaps: Gaps | None = None, filled_to_m: float = 0.0
-) -> Site:
-    """The site with every frame's traffic changed, as the recording has it before anything is cut off.
-
-    What is changed queues up again with other `gaps`, if any; see `queued`. In held-out frames nothing counts that
-    counts in a searched frame, as recorded or changed, nor copies of it: a queue that closes up brings vehicles into
-    the region that were not there yet.
-    """
-    step = int(site.recording.vehicle_id.max()) + 1
-    road = site.scenario.road_map
-    anchor = float(road.locate(np.array([site.scenario.deployment.nominal_xy])).s_m[0])
-    place = {"anchor_m": anchor, "road": road, "copies_from": step}
-
-    def changed(number: int) -> CountedFrame:
-        recorded = site.recording.vehicles(number)
-        vehicles = change(recorded)
-        if gaps is not None:
-            vehicles = queued(vehicles, recorded.size_m[:, 0], gaps, filled_to_m=filled_to_m, **place)
-        return site.counted(vehicles)
-
-    searched, held_out = (tuple(map(changed, frames)) for frames in (site.plan.search, site.plan.holdout))
-    chosen = [frame.vehicles.vehicle_id[frame.counted] % step for frame in searched]
-    chosen = np.concatenate([site.plan.searched_ids, *chosen])
-    judged = (
-        replace(frame, counted=frame.counted & ~np.isin(frame.vehicles.vehicle_id % step, chosen)) for frame in held_out
-    )
-    return replace(site, search=searched, holdout=tuple(judged))
-
-
-def turned_into(vehicles: Vehicles, ids: np.ndarray, kind: int) -> Vehicles:
-    """The vehicles of those ids turned into lorries or cars where they stand; `queued` makes room for them."""
-    chosen = np.isin(vehicles.vehicle_id, ids)
-    size, centre = vehicles.size_m.copy(), vehicles.centre_m.copy()
-    ground = centre[:, 2] - 0.5 * size[:, 2]
-    size[chosen] = SIZE_M[kind]
-    centre[:, 2] = ground + 0.5 * size[:, 2]
-    classes = np.where(chosen, kind, vehicles.class_index).astype(vehicles.class_index.dtype)
-    body = None if vehicles.body is None else np.where(chosen, 0, vehicles.body)
-    return replace(vehicles, size_m=size, centre_m=centre, class_index=classes, body=body)
-
-
-def queued(
-    vehicles: Vehicles,
-    lengths_m: np.ndarray,
-    gaps: Gaps,
-    *,
-    anchor_m: float,
-    road: RoadMap,
-    filled_to_m: float = 0.0,
-    copies_from: int = 0,
-) -> Vehicles:
-    """Vehicles lined up again, lane by lane, about the one that is nearest to station `anchor_m`, which stays.
-
-    Parameters
-    ----------
-    vehicles : Vehicles
-        One frame, with the sizes that they are to have.
-    lengths_m : ndarray, (n,)
-        The lengths that they had: what their gaps are measured with.
-    gaps : callable
-        New bumper gaps from old ones.
-    anchor_m : float
-        Station at which the lanes are looked at [m].
-    road : RoadMap
-        Its lanes, and strips as wide as the usual one beside them, say who drives behind whom.
-    filled_to_m : float
-        How far to both sides of the anchor lanes are to be full [m]. A lane of the road that ends nearer is continued
-        with itself, the same vehicles under other numbers, as the recording knows none beyond its ends.
-    copies_from : int
-        More than any vehicle's number: a copy has its original's and a multiple of this.
-
-    Returns
-    -------
-    Vehicles
-        With copies, if any, at the end. What drives across the road stays where it is.
-    """
-    at, (right, left), width = road.locate(vehicles.centre_m), road.edges_t, float(np.median(road.width_m))
-    along = np.abs(np.cos(vehicles.heading_rad - at.heading_rad)) >= _ALONG
-    aside = np.floor((at.t_m - np.where(at.t_m < right, right, left)) / width).astype(int)
-    beside = np.select([at.t_m < right, at.t_m >= left], [aside, len(road) + aside], _BETWEEN + aside)
-    lane = np.where(at.lane >= 0, at.lane, beside)
-    x = at.s_m.copy()
-    copies = []  # of each: rows, their places, and by how many periods they are shifted
-    for number in np.unique(lane[along]):
-        rows = np.flatnonzero(along & (lane == number))
-        rows = rows[np.argsort(x[rows], kind="stable")]
-        if len(rows) < 2:
-            continue
-        old, new = lengths_m[rows], vehicles.size_m[rows, 0]
-        spread = gaps(np.diff(x[rows]) - 0.5 * (old[1:] + old[:-1]))
-        places = np.concatenate([[0.0], np.cumsum(spread + 0.5 * (new[1:] + new[:-1]))])
-        middle = np.argmin(np.abs(x[rows] - anchor_m))
-        places += x[rows[middle]] - places[middle]
-        period = places[-1] - places[0] + 0.5 * (new[0] + new[-1]) + float(np.median(spread))
-        x[rows] = places
-        if not 0 <= number < len(road) or period < new.sum():  # a ramp ends where it ends; a pile cannot be continued
-            continue
-        before = max(0, math.ceil((places[0] - anchor_m + filled_to_m) / period))
-        after = max(0, math.ceil((filled_to_m - places[-1] + anchor_m) / period))
-        copies += [(rows, places + turn * period, turn) for turn in range(-before, after + 1) if turn]
-    queue = replace(vehicles, centre_m=np.column_stack([road.at(x, at.t_m), vehicles.centre_m[:, 2]]))
-    if not copies:
-        return queue
-    rows, copied_x = (np.concatenate(parts) for parts in list(zip(*copies, strict=True))[:2])
-    turn = np.repeat([turn for *_, turn in copies], [len(rows) for rows, *_ in copies])
-    together = queue.select(np.concatenate([np.arange(len(queue)), rows]))
-    centre, ids = together.centre_m.copy(), together.vehicle_id.copy()
-    centre[len(queue) :, :2] = road.at(copied_x, at.t_m[rows])
-    ids[len(queue) :] += copies_from * np.where(turn > 0, 2 * turn - 1, -2 * turn)  # 1, 2, 3 ... for turns 1, -1, 2 ...
-    return replace(together, centre_m=centre, vehicle_id=ids)
+    return with_traffic(site, turned, lambda gaps: gaps)
 
 
 # --- metric: the score with other constants, and other scores, of the same returns ------------------------------------

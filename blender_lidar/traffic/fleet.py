@@ -1,5 +1,7 @@
 """Variety of vehicles: a height and a body for each, drawn by its number, where traffic knows a height a class alone.
 
+And other vehicles in their places: lorries for cars, queues with other gaps.
+
 Shares and heights are round numbers of ours for the fleets of Europe and North America, not a survey: heights are
 uniform between the 5 and 95 % points of what is sold under the name of a body. To compare: the mean boxes of nuScenes
 by which detectors are set up (the anchors of OpenPCDet and mmdetection3d) are 1.72 m high for cars, with SUVs and
@@ -9,11 +11,16 @@ pick-ups among them, 2.73 for trucks, 3.82 for trailers, 3.47 for buses, 1.44 fo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .vehicles import CLASSES, FLEET_KINDS, HEIGHTS_M, Recording, fleet_kind
+from ..road.road_map import RoadMap
+from .vehicles import CLASSES, FLEET_KINDS, HEIGHTS_M, Recording, Vehicles, fleet_kind
+
+# --- Heights and bodies -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,3 +158,97 @@ def _drawn(
     rank = (1.0 - abs(with_length)) * height + abs(with_length) * (along if with_length > 0.0 else 1.0 - along)
     drawn = body.height_m[0] + rank * (body.height_m[1] - body.height_m[0])
     return body.name, 1.0 + variety * (drawn / HEIGHTS_M[kind] - 1.0)
+
+
+# --- Vehicles turned into others, and queues --------------------------------------------------------------------------
+
+CAR, VAN, TRUCK, BUS = (CLASSES.index(name) for name in ("car", "van", "truck", "bus"))
+SIZE_M = {TRUCK: (12.7, 2.59, 3.8), CAR: (4.5, 2.1, 1.5)}  # I-80's median lorry, as high as NGSIM's get, and car
+_BETWEEN = -(10**9)  # number of the strip next to the left carriageway, between both
+_ALONG = np.cos(np.radians(30.0))  # of the heading off the lane's: what drives across the road does not queue
+
+Gaps = Callable[[np.ndarray], np.ndarray]
+"""New bumper gaps from old ones [m]; negative where vehicles overlap."""
+
+
+def turned_into(vehicles: Vehicles, ids: np.ndarray, kind: int) -> Vehicles:
+    """The vehicles of those ids turned into lorries or cars where they stand; `queued` makes room for them."""
+    chosen = np.isin(vehicles.vehicle_id, ids)
+    size, centre = vehicles.size_m.copy(), vehicles.centre_m.copy()
+    ground = centre[:, 2] - 0.5 * size[:, 2]
+    size[chosen] = SIZE_M[kind]
+    centre[:, 2] = ground + 0.5 * size[:, 2]
+    classes = np.where(chosen, kind, vehicles.class_index).astype(vehicles.class_index.dtype)
+    body = None if vehicles.body is None else np.where(chosen, 0, vehicles.body)
+    return replace(vehicles, size_m=size, centre_m=centre, class_index=classes, body=body)
+
+
+def queued(
+    vehicles: Vehicles,
+    lengths_m: np.ndarray,
+    gaps: Gaps,
+    *,
+    anchor_m: float,
+    road: RoadMap,
+    filled_to_m: float = 0.0,
+    copies_from: int = 0,
+) -> Vehicles:
+    """Vehicles lined up again, lane by lane, about the one that is nearest to station `anchor_m`, which stays.
+
+    Parameters
+    ----------
+    vehicles : Vehicles
+        One frame, with the sizes that they are to have.
+    lengths_m : ndarray, (n,)
+        The lengths that they had: what their gaps are measured with.
+    gaps : callable
+        New bumper gaps from old ones.
+    anchor_m : float
+        Station at which the lanes are looked at [m].
+    road : RoadMap
+        Its lanes, and strips as wide as the usual one beside them, say who drives behind whom.
+    filled_to_m : float
+        How far to both sides of the anchor lanes are to be full [m]. A lane of the road that ends nearer is continued
+        with itself, the same vehicles under other numbers, as the recording knows none beyond its ends.
+    copies_from : int
+        More than any vehicle's number: a copy has its original's and a multiple of this.
+
+    Returns
+    -------
+    Vehicles
+        With copies, if any, at the end. What drives across the road stays where it is.
+    """
+    at, (right, left), width = road.locate(vehicles.centre_m), road.edges_t, float(np.median(road.width_m))
+    along = np.abs(np.cos(vehicles.heading_rad - at.heading_rad)) >= _ALONG
+    aside = np.floor((at.t_m - np.where(at.t_m < right, right, left)) / width).astype(int)
+    beside = np.select([at.t_m < right, at.t_m >= left], [aside, len(road) + aside], _BETWEEN + aside)
+    lane = np.where(at.lane >= 0, at.lane, beside)
+    x = at.s_m.copy()
+    copies = []  # of each: rows, their places, and by how many periods they are shifted
+    for number in np.unique(lane[along]):
+        rows = np.flatnonzero(along & (lane == number))
+        rows = rows[np.argsort(x[rows], kind="stable")]
+        if len(rows) < 2:
+            continue
+        old, new = lengths_m[rows], vehicles.size_m[rows, 0]
+        spread = gaps(np.diff(x[rows]) - 0.5 * (old[1:] + old[:-1]))
+        places = np.concatenate([[0.0], np.cumsum(spread + 0.5 * (new[1:] + new[:-1]))])
+        middle = np.argmin(np.abs(x[rows] - anchor_m))
+        places += x[rows[middle]] - places[middle]
+        period = places[-1] - places[0] + 0.5 * (new[0] + new[-1]) + float(np.median(spread))
+        x[rows] = places
+        if not 0 <= number < len(road) or period < new.sum():  # a ramp ends where it ends; a pile cannot be continued
+            continue
+        before = max(0, math.ceil((places[0] - anchor_m + filled_to_m) / period))
+        after = max(0, math.ceil((filled_to_m - places[-1] + anchor_m) / period))
+        copies += [(rows, places + turn * period, turn) for turn in range(-before, after + 1) if turn]
+    queue = replace(vehicles, centre_m=np.column_stack([road.at(x, at.t_m), vehicles.centre_m[:, 2]]))
+    if not copies:
+        return queue
+    rows, copied_x = (np.concatenate(parts) for parts in list(zip(*copies, strict=True))[:2])
+    turn = np.repeat([turn for *_, turn in copies], [len(rows) for rows, *_ in copies])
+    together = queue.select(np.concatenate([np.arange(len(queue)), rows]))
+    centre, ids = together.centre_m.copy(), together.vehicle_id.copy()
+    centre[len(queue) :, :2] = road.at(copied_x, at.t_m[rows])
+    ids[len(queue) :] += copies_from * np.where(turn > 0, 2 * turn - 1, -2 * turn)  # 1, 2, 3 ... for turns 1, -1, 2 ...
+    return replace(together, centre_m=centre, vehicle_id=ids)
