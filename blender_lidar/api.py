@@ -31,7 +31,8 @@ from .optimise.multi_fidelity import MultiFidelitySearch
 from .plugins import name_in_file
 from .results import Run, Scan, Score, table_of
 from .run.optimise import ended_search, evaluate_site, optimise_site
-from .run.verdict import POINTS, vehicle_table
+from .run.vehicle_table import vehicle_table
+from .run.verdict import POINTS
 from .scene.deployment import MOUNTING, MOUNTING_OR_LEAN
 from .scene.mount_checks import check_mount_is_clear
 from .scene.mounting import LEANS, Mounting

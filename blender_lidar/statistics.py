@@ -10,6 +10,8 @@ import numpy as np
 
 RESAMPLES = 2000
 FEWEST_BLOCKS = 3  # with fewer no interval is given
+FEW_BLOCKS = 6  # with fewer an interval is no ground to hang a LiDAR on
+FEW_VEHICLES = 10  # different ones; with fewer a share has no interval
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _LARGEST_PROBABILITY = 1.0 - 1e-9
 _RESAMPLES_AT_ONCE = 100  # of many mountings: all at once may fill the memory
@@ -218,6 +220,103 @@ def linear_interval_90(middle: float, influence: np.ndarray) -> tuple[float, flo
         return None
     reach = student_t_95(blocks - 1) * float(np.sqrt(blocks / (blocks - 1) * (influence**2).sum()))
     return middle - reach, middle + reach
+
+
+def clopper_pearson_90(hits: float, trials: int) -> tuple[float, float]:
+    """90 % interval of a share by Clopper and Pearson (1934, Biometrika 26): `hits` of independent `trials`.
+
+    Where the hits are not whole they are rounded away from the middle of the interval, which makes it wider.
+    """
+
+    def at_least(fewest: int, share: float) -> float:
+        number = np.arange(fewest, trials + 1)
+        return float(np.exp(choices[number] + number * math.log(share) + (trials - number) * math.log1p(-share)).sum())
+
+    def where(fewest: int, probability: float) -> float:
+        low, high = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if at_least(fewest, middle) < probability else (low, middle)
+        return low
+
+    factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1.0, trials + 1.0)))])
+    choices = factorial[-1] - factorial - factorial[::-1]
+    fewest, most = math.floor(hits + 1e-9), math.ceil(hits - 1e-9)
+    return where(fewest, 0.05) if fewest else 0.0, where(most + 1, 0.95) if most < trials else 1.0
+
+
+def share_interval_90(
+    hits: np.ndarray, vehicle: np.ndarray, block: np.ndarray, seed: int, stratum: np.ndarray | None = None
+) -> tuple[float, float] | None:
+    """90 % interval of the share of boxes of which something is true, over blocks of time.
+
+    Where all but two blocks at most have 0 or 100 %, resampling them tells next to nothing: the interval then also
+    holds that of Clopper and Pearson, for which each different vehicle is one trial, hit in the share of its boxes.
+
+    Parameters
+    ----------
+    hits : ndarray of bool, (n,)
+        One for each box: a vehicle in one frame.
+    vehicle : ndarray, (n,)
+        The vehicle of each box.
+    block : ndarray of int, (n,)
+        Its block of time.
+    seed : int
+        For the resampling of blocks.
+    stratum : ndarray, (n,), optional
+        Its recording, where there are several.
+
+    Returns
+    -------
+    (float, float) or None
+        Within 0 to 1; None for fewer than `FEW_VEHICLES` different vehicles, or too few blocks.
+    """
+    ends, is_extreme = _mean_over_blocks(hits.astype(float), block, seed, stratum)
+    if ends is None or len(np.unique(vehicle)) < FEW_VEHICLES:
+        return None
+    if is_extreme:
+        exact = _share_of_vehicles(hits, vehicle)
+        ends = min(ends[0], exact[0]), max(ends[1], exact[1])
+    return max(ends[0], 0.0), min(ends[1], 1.0)
+
+
+def share_gain_interval_90(
+    before: np.ndarray,
+    after: np.ndarray,
+    vehicle: np.ndarray,
+    block: np.ndarray,
+    seed: int,
+    stratum: np.ndarray | None = None,
+) -> tuple[float, float] | None:
+    """90 % interval of the difference of two shares of the same boxes, paired over blocks of time.
+
+    Where all but two blocks at most have a difference of -1, 0 or 1, the interval also holds what Clopper and Pearson
+    allow of boxes that were won, and of boxes that were lost. Otherwise as `share_interval_90`.
+    """
+    ends, is_extreme = _mean_over_blocks(after.astype(float) - before, block, seed, stratum)
+    if ends is None or len(np.unique(vehicle)) < FEW_VEHICLES:
+        return None
+    if is_extreme:
+        won, lost = (_share_of_vehicles(boxes, vehicle) for boxes in (after & ~before, before & ~after))
+        ends = min(ends[0], won[0] - lost[1]), max(ends[1], won[1] - lost[0])
+    return max(ends[0], -1.0), min(ends[1], 1.0)
+
+
+def _mean_over_blocks(
+    values: np.ndarray, block: np.ndarray, seed: int, stratum: np.ndarray | None
+) -> tuple[tuple[float, float] | None, bool]:
+    """Interval of the mean of values (n,) over blocks, and whether all but two blocks at most have whole means."""
+    boxes, strata = block_sums(np.ones(len(block)), block), None if stratum is None else of_blocks(stratum, block)
+    sums = block_sums(values, block)
+    ends = statistic_interval_90(lambda weights: weights @ sums / (weights @ boxes), boxes, seed, strata)
+    return ends, (sums % boxes != 0).sum() < FEWEST_BLOCKS
+
+
+def _share_of_vehicles(hits: np.ndarray, vehicle: np.ndarray) -> tuple[float, float]:
+    """Clopper and Pearson's interval, for which each different vehicle is one trial."""
+    row = np.unique(vehicle, return_inverse=True)[1].reshape(-1)
+    boxes = np.bincount(row)
+    return clopper_pearson_90(float((block_sums(hits, row) / boxes).sum()), len(boxes))
 
 
 def student_t_95(degrees: float) -> float:

@@ -22,7 +22,8 @@ import pytest
 
 from blender_lidar.casting import is_available
 from blender_lidar.errors import WorkerError
-from blender_lidar.run.verdict import VEHICLE_COLUMNS, distance_bands, judge, lanes, vehicle_table
+from blender_lidar.run.vehicle_table import VEHICLE_COLUMNS, distance_bands, lanes, vehicle_table
+from blender_lidar.run.verdict import judge
 from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator, Totals

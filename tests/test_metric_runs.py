@@ -20,7 +20,7 @@ from blender_lidar.metrics.vehicle_metrics import TIE_BREAKER
 from blender_lidar.report.html import escaped
 from blender_lidar.report.summary import answer, objective_text
 from blender_lidar.run.folder import RunFolder
-from blender_lidar.run.verdict import METRIC_VALUE, vehicle_table
+from blender_lidar.run.vehicle_table import METRIC_VALUE, vehicle_table
 from blender_lidar.scene.mounting import Mast, Mounting
 from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario

@@ -17,7 +17,7 @@ from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.optimise import make_search, run
 from blender_lidar.optimise.solve import OwnSearch
 from blender_lidar.run.folder import RunFolder
-from blender_lidar.run.verdict import METRIC_VALUE
+from blender_lidar.run.vehicle_table import METRIC_VALUE
 from blender_lidar.studies.variations import metric_variations
 from tests.small_scene import cli, done, write_scene
 from tests.waiting import WAIT_S

@@ -12,11 +12,14 @@ from hypothesis import strategies as st
 from blender_lidar.statistics import (
     FEWEST_BLOCKS,
     block_sums,
+    clopper_pearson_90,
     degrees_of_freedom,
     interval_90,
     of_blocks,
     ratio_interval_90,
     resampled_weights,
+    share_gain_interval_90,
+    share_interval_90,
     statistic_interval_90,
     student_t,
     student_t_95,
@@ -226,3 +229,53 @@ def test_students_t_grows_with_the_probability_and_is_nothing_at_a_half():
 def test_students_t_refuses_what_it_does_not_serve(probability, degrees):
     with pytest.raises(ValueError, match="allowed"):
         student_t(probability, degrees)
+
+
+# --- shares of boxes --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("hits", "trials"), [(45, 45), (0, 45), (44, 45), (3, 10), (500, 1000), (1999, 2000)])
+def test_clopper_and_pearsons_interval_is_that_of_scipys_beta_distribution(hits, trials):
+    beta = pytest.importorskip("scipy.stats").beta
+    low = beta.ppf(0.05, hits, trials - hits + 1) if hits else 0.0
+    high = beta.ppf(0.95, hits + 1, trials - hits) if hits < trials else 1.0
+    assert clopper_pearson_90(hits, trials) == pytest.approx((low, high), abs=1e-12)
+
+
+def boxes(blocks, vehicles_a_block, frames=3):
+    """Vehicle and block of each box, where every vehicle is in as many frames of one block."""
+    vehicle = np.repeat(np.arange(blocks * vehicles_a_block), frames)
+    return vehicle, vehicle // vehicles_a_block
+
+
+def test_where_every_box_of_45_vehicles_is_seen_the_share_is_at_least_94_percent():
+    vehicle, block = boxes(9, 5)
+    seen = np.ones(len(vehicle), dtype=bool)
+    assert share_interval_90(seen, vehicle, block, 1) == pytest.approx((0.05 ** (1 / 45), 1.0))
+    assert share_interval_90(~seen, vehicle, block, 1) == pytest.approx((0.0, 1 - 0.05 ** (1 / 45)))
+    gain = share_gain_interval_90(seen, seen, vehicle, block, 1)
+    assert gain == pytest.approx((-(1 - 0.05 ** (1 / 45)), 1 - 0.05 ** (1 / 45)))
+
+
+def test_shares_of_fewer_than_ten_vehicles_or_three_blocks_have_no_interval():
+    for blocks, vehicles in ((3, 3), (2, 50)):
+        vehicle, block = boxes(blocks, vehicles)
+        seen = vehicle % 2 == 0
+        assert share_interval_90(seen, vehicle, block, 1) is None
+        assert share_gain_interval_90(seen, ~seen, vehicle, block, 1) is None
+
+
+def test_intervals_of_shares_hold_the_truth_nine_times_in_ten():
+    rng, held, gained, runs = np.random.default_rng(5), 0, 0, 400
+    for seed in range(runs):
+        vehicle, block = boxes(12, 6)
+        chance = np.clip(0.8 + 0.12 * rng.standard_normal(12), 0, 1)[block]  # differs from block to block
+        easy = rng.random(12 * 6)[vehicle]  # a vehicle that is hard to see is so in all its frames
+        before, after = easy < chance - 0.3, easy < chance
+        truth, gain = 0.7977, 0.3  # of the clipped normal distribution, by four million draws
+        low, high = share_interval_90(after, vehicle, block, seed)
+        held += low <= truth <= high
+        low, high = share_gain_interval_90(before, after, vehicle, block, seed)
+        gained += low <= gain <= high
+    assert 0.86 <= held / runs <= 0.96
+    assert 0.86 <= gained / runs <= 0.97

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.files import to_csv, write_columns
-from blender_lidar.run.verdict import VEHICLE_COLUMNS, vehicle_table
+from blender_lidar.run.vehicle_table import VEHICLE_COLUMNS, vehicle_table
 from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator

@@ -12,7 +12,8 @@ import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..run.folder import RunFolder
-from ..run.verdict import METRIC_VALUE, REGION_SHARE, WEIGHT, ScoreMap, near_best_threshold
+from ..run.vehicle_table import METRIC_VALUE, WEIGHT
+from ..run.verdict import REGION_SHARE, ScoreMap, near_best_threshold
 from ..scene.settings import ZoneSettings
 from ..scene.site import Site
 from ..traffic.vehicles import counted

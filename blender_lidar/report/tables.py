@@ -16,7 +16,7 @@ from ..metrics.catalogue import metric_named
 from ..optimise import vehicle_score
 from ..run.folder import RunFolder
 from ..run.tolerance import tolerance_text
-from ..run.verdict import distance_bands, lanes, metric_values, vehicle_weight
+from ..run.vehicle_table import distance_bands, lanes, metric_values, vehicle_weight
 from ..scene.mounting import ANGLES, COORDINATE_NAMES, LEANS
 from .summary import (
     aim_text,

@@ -31,7 +31,8 @@ from ..files import (
 from ..scene.provenance import check_identity
 from ..scene.scenario import Scenario
 from ..toml_table import to_toml
-from .verdict import WEIGHT, ScoreMap, columns_for
+from .vehicle_table import WEIGHT, columns_for
+from .verdict import ScoreMap
 
 RUN_SCHEMA = 1
 RESULT, CHECKPOINT, SCENE = "result.json", "checkpoint.json", "scene.toml"

@@ -28,6 +28,7 @@ from ..statistics import best_intervals_90, block_sums, of_blocks
 from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, RunFolder
 from .replay import Listener, Replay
 from .tolerance import JUDGED_BASE, SEARCHED_BASE, best_over_tolerance, objective_over
+from .vehicle_table import add_shares, vehicle_tables
 from .verdict import (
     AXES,
     BASELINE_NAME,
@@ -39,7 +40,6 @@ from .verdict import (
     map_scores,
     map_verdict,
     rank_places,
-    vehicle_table,
     with_coordinates,
 )
 
@@ -352,8 +352,10 @@ def _conclude(
     if poles is not None:
         folder.write_ranking(poles)
     splits = {"search": evaluator, "holdout": evaluator.held_out}
-    folder.write_vehicles(*(vehicle_table(layouts[name], **splits) for name in ("optimised", BASELINE_NAME)))
+    tables = dict(zip(judged, vehicle_tables(list(judged.values()), **splits), strict=True))
+    folder.write_vehicles(tables["optimised"], tables[BASELINE_NAME])
     verdict = judge(site, judged, evaluator, seed)
+    groups = add_shares(site, verdict, tables, None if searches else seed)
     evaluations = {name: sum(len(search.history) for search in parts) for name, parts in searches.items()}
     tolerance = scenario.objective.tolerance
     over_tolerance = (
@@ -401,6 +403,7 @@ def _conclude(
         "vehicles": int(evaluator.vehicles.sum()),
         "deployment": layouts["optimised"][0].as_table(),
         **verdict["optimised"],
+        "groups": groups,
         "baseline": {"deployment": scenario.baseline.as_table(), **verdict[BASELINE_NAME]},
         "tolerance": over_tolerance,
         "warnings": site.recording.report.warnings_as_dicts(),

@@ -1,7 +1,6 @@
-"""The verdict on mountings: beside the baseline, as planned and over a tolerance; over a score map; by vehicle.
+"""The verdict on mountings: beside the baseline, as planned and over a tolerance; and over a score map.
 
-The score map is the objective over height and tilt: a picture of the whole landscape, and how certain its top is. A
-vehicle table has one row for each counted vehicle and frame: what a mounting sees of it.
+The score map is the objective over height and tilt: a picture of the whole landscape, and how certain its top is.
 """
 
 from __future__ import annotations
@@ -11,16 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..metrics.catalogue import PE_VGOP, metric_named
+from ..metrics.catalogue import metric_named
 from ..metrics.vehicle_metrics import TIE_BREAKER
-from ..metrics.vgop import entropy
 from ..scene.deployment import SearchSpace
 from ..scene.mounting import Layout
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
-from ..scoring.scores import Scored
 from ..statistics import block_sums, drawn_blocks, interval_90, many_to_one_reach_90, of_blocks
-from ..traffic.vehicles import Vehicles
 from .tolerance import Judged, ToleranceLosses, judged_rows, losses_over_tolerance
 
 REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
@@ -366,119 +362,3 @@ def _regret(best: dict | None, found: dict | None) -> float | None:
     if best is None or not best["gain_over_baseline"] > 0.0:
         return None
     return 1.0 - found["gain_over_baseline"] / best["gain_over_baseline"]
-
-
-# --- One row for each counted vehicle and frame: what a mounting sees of it -------------------------------
-
-VEHICLE_COLUMNS = (
-    "frame",
-    "vehicle_id",
-    "class",
-    "x_m",
-    "y_m",
-    "z_m",
-    "length_m",
-    "width_m",
-    "height_m",
-    "heading_deg",
-)
-VEHICLE_COLUMNS += ("distance_m", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable", "lane", "split")
-METRIC_VALUE = "metric_value"
-"""The column of the chosen metric, in its own unit, where that is another than PE-VGOP: that one is `entropy_bits`."""
-
-WEIGHT = "weight"
-"""The column of how much a vehicle counts in the objective, where the scene has weights."""
-
-
-def columns_for(metric: str, weighted: bool = False) -> tuple[str, ...]:
-    """The columns of the table of a run with a metric, of a scene with weights or without."""
-    return VEHICLE_COLUMNS + (METRIC_VALUE,) * (metric != PE_VGOP.name) + (WEIGHT,) * weighted
-
-
-def metric_values(table: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The chosen metric of each vehicle of a table, in its own unit, (n,)."""
-    return table[METRIC_VALUE] if METRIC_VALUE in table else table["entropy_bits"]
-
-
-def vehicle_weight(table: Mapping[str, np.ndarray]) -> np.ndarray:
-    """How much each vehicle of a table counts in the objective, (n,)."""
-    return table[WEIGHT] if WEIGHT in table else np.ones(len(table["frame"]))
-
-
-def vehicle_table(layout: Layout, **splits: Evaluator) -> dict[str, np.ndarray]:
-    """Score one layout vehicle by vehicle.
-
-    Parameters
-    ----------
-    **splits : Evaluator
-        Of one metric: each with the frames of a split, by the name that the column ``split`` gives them. In one of
-        them at least a vehicle counts.
-
-    Returns
-    -------
-    dict of str to ndarray, (n,)
-        The columns of `columns_for` the metric; `distance_m` is horizontal, from the nearest LiDAR.
-    """
-    tables = [
-        _frame_table(frame.vehicles.select(frame.counted), layout, scored, split) | {WEIGHT: frame.counted_weight}
-        for split, evaluator in splits.items()
-        for frame, scored in zip(evaluator.frames, evaluator.by_vehicle([layout]), strict=True)
-        if frame.counted.any()
-    ]
-    metric = next(iter(splits.values())).metric
-    weighted = any(frame.weight is not None for evaluator in splits.values() for frame in evaluator.frames)
-    return {name: np.concatenate([table[name] for table in tables]) for name in columns_for(metric, weighted)}
-
-
-def _frame_table(vehicles: Vehicles, layout: Layout, scored: Scored, split: str) -> dict[str, np.ndarray]:
-    shares = scored.seen.occupancy[0]
-    away = [np.hypot(*(vehicles.centre_m[:, :2] - mounting.pose.position[:2]).T) for mounting in layout]
-    return {
-        "frame": np.full(len(vehicles), vehicles.frame),
-        "vehicle_id": vehicles.vehicle_id,
-        "class": vehicles.class_name,
-        **dict(zip(("x_m", "y_m", "z_m"), vehicles.centre_m.T, strict=True)),
-        **dict(zip(("length_m", "width_m", "height_m"), vehicles.size_m.T, strict=True)),
-        "heading_deg": np.degrees(vehicles.heading_rad),
-        "distance_m": np.min(away, axis=0),
-        "points": scored.seen.points[0],
-        **dict(zip(("p_top", "p_side", "p_front"), shares.T, strict=True)),
-        "entropy_bits": entropy(shares).sum(axis=1),
-        "detectable": scored.detectable[0],
-        "lane": vehicles.lane,
-        "split": np.full(len(vehicles), split),
-        METRIC_VALUE: scored.values[0],
-    }
-
-
-def distance_bands(table: dict[str, np.ndarray], width_m: float = 10.0) -> list[tuple[str, np.ndarray]]:
-    """Names of the distance bands that hold vehicles, and which rows of a vehicle table each holds."""
-    band = (table["distance_m"] // width_m).astype(int)
-    return [(f"{number * width_m:g}-{(number + 1) * width_m:g} m", band == number) for number in np.unique(band)]
-
-
-_QUARTERS = ("+x", "+y", "-x", "-y")
-_MEANT_SHARE = 0.05  # of the vehicles of a lane; fewer that head another way are no lane of their own
-
-
-def lanes(table: dict[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
-    """Names of the lanes that hold vehicles, and which rows of a vehicle table each holds.
-
-    A number that is of two lanes, as where each direction of travel counts from its own kerb, is split by headings.
-    """
-    found, towards = [], np.exp(1j * np.radians(table["heading_deg"]))
-    for number in np.unique(table["lane"]):
-        rows, name = table["lane"] == number, f"lane {number}" if number else "no lane"
-        axis = np.sqrt((towards[rows] ** 2).sum())  # of both ways, as their doubled angles are one
-        along = (towards * axis.conj()).real > 0.0
-        ways = {_way(towards[one]): one for one in (rows & along, rows & ~along) if one.any()}
-        if number and min(one.sum() for one in ways.values()) >= _MEANT_SHARE * rows.sum() and len(ways) > 1:
-            found += [(f"{name}, towards {_QUARTERS[way]}", ways[way]) for way in sorted(ways)]
-        else:
-            found.append((name, rows))
-    return found
-
-
-def _way(towards):
-    """The quarter of the circle about the mean of directions, unit complex numbers."""
-    return round(float(np.degrees(np.angle(towards.sum()))) / 90.0) % 4

@@ -123,10 +123,10 @@ def vehicle_weights(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndar
         return None
     of_class = np.array([objective.class_weights.get(name, 1.0) for name in vehicles.class_name.tolist()])
     of_zones = np.array([*(zone.weight for zone in objective.zones), 1.0])
-    return of_class * of_zones[_first_zone(objective, vehicles.centre_m[:, :2])]
+    return of_class * of_zones[first_zone(objective, vehicles.centre_m[:, :2])]
 
 
-def _first_zone(objective: ObjectiveSettings, xy: np.ndarray) -> np.ndarray:
+def first_zone(objective: ObjectiveSettings, xy: np.ndarray) -> np.ndarray:
     """Row of the first zone that holds each place (n, 2) [m], (n,) int; their number where none does."""
     holds = [polygon_holds(zone.polygon_m, xy) for zone in objective.zones]
     return np.argmax([*holds, np.ones(len(xy), dtype=bool)], axis=0)
@@ -143,7 +143,7 @@ def check_weights(
         Naming `where` the weights came from.
     """
     xy = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in searched])
-    first = _first_zone(objective, xy)
+    first = first_zone(objective, xy)
     for number, zone in enumerate(objective.zones, start=1):
         if (first == number - 1).any():
             continue

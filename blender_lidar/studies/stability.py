@@ -16,7 +16,7 @@ from ..metrics.catalogue import PE_VGOP, metric_named
 from ..plugins import short_name
 from ..run.optimise import fresh_search
 from ..run.tolerance import losses_over_tolerance
-from ..run.verdict import vehicle_table
+from ..run.vehicle_table import vehicle_table
 from ..scene.mounting import Mounting
 from ..scene.settings import Tolerance
 from ..scene.site import Site

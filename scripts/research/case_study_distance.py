@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from blender_lidar.optimise.objective import vehicle_score
-from blender_lidar.run.verdict import distance_bands, vehicle_table
+from blender_lidar.run.vehicle_table import distance_bands, vehicle_table
 from blender_lidar.scene.mounting import Layout
 from blender_lidar.scene.site import Site
 from blender_lidar.scoring.evaluation import Evaluator

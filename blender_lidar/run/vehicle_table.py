@@ -1,0 +1,282 @@
+"""The vehicle table, one row for each box (a counted vehicle in one frame): what a mounting sees of it.
+
+The detectable share, with its interval, comes from such tables, of all boxes and of groups of them: by distance, lane,
+class and zone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..metrics.catalogue import PE_VGOP, metric_named
+from ..metrics.vgop import entropy
+from ..optimise import vehicle_score
+from ..scene.mounting import Layout
+from ..scene.observation import first_zone
+from ..scene.settings import ObjectiveSettings
+from ..scene.site import Site
+from ..scoring.evaluation import Evaluator
+from ..scoring.scores import Scored
+from ..statistics import share_gain_interval_90, share_interval_90
+from ..traffic.frames import FramePlan
+from ..traffic.vehicles import Vehicles
+
+VEHICLE_COLUMNS = (
+    "frame",
+    "vehicle_id",
+    "class",
+    "x_m",
+    "y_m",
+    "z_m",
+    "length_m",
+    "width_m",
+    "height_m",
+    "heading_deg",
+)
+VEHICLE_COLUMNS += ("distance_m", "points", "p_top", "p_side", "p_front", "entropy_bits", "detectable", "lane", "split")
+METRIC_VALUE = "metric_value"
+"""The column of the chosen metric, in its own unit, where that is another than PE-VGOP: that one is `entropy_bits`."""
+
+WEIGHT = "weight"
+"""The column of how much a vehicle counts in the objective, where the scene has weights."""
+
+
+def columns_for(metric: str, weighted: bool = False) -> tuple[str, ...]:
+    """The columns of the table of a run with a metric, of a scene with weights or without."""
+    return VEHICLE_COLUMNS + (METRIC_VALUE,) * (metric != PE_VGOP.name) + (WEIGHT,) * weighted
+
+
+def metric_values(table: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The chosen metric of each vehicle of a table, in its own unit, (n,)."""
+    return table[METRIC_VALUE] if METRIC_VALUE in table else table["entropy_bits"]
+
+
+def vehicle_weight(table: Mapping[str, np.ndarray]) -> np.ndarray:
+    """How much each vehicle of a table counts in the objective, (n,)."""
+    return table[WEIGHT] if WEIGHT in table else np.ones(len(table["frame"]))
+
+
+def vehicle_tables(layouts: Sequence[Layout], **splits: Evaluator) -> list[dict[str, np.ndarray]]:
+    """Score layouts vehicle by vehicle: a table for each.
+
+    Parameters
+    ----------
+    layouts : sequence of Layout
+    **splits : Evaluator
+        Of one metric: each with the frames of a split, by the name that the column ``split`` gives them. In one of
+        them at least a vehicle counts.
+
+    Returns
+    -------
+    list of dict of str to ndarray, (n,)
+        The columns of `columns_for` the metric; `distance_m` is horizontal, from the nearest LiDAR.
+    """
+    metric = next(iter(splits.values())).metric
+    weighted = any(frame.weight is not None for evaluator in splits.values() for frame in evaluator.frames)
+    found = [
+        (frame, scored, split)
+        for split, evaluator in splits.items()
+        for frame, scored in zip(evaluator.frames, evaluator.by_vehicle(layouts), strict=True)
+        if frame.counted.any()
+    ]
+    tables = []
+    for row, layout in enumerate(layouts):
+        parts = [
+            _frame_table(frame.vehicles.select(frame.counted), layout, scored, row, split)
+            | {WEIGHT: frame.counted_weight}
+            for frame, scored, split in found
+        ]
+        names = columns_for(metric, weighted)
+        tables.append({name: np.concatenate([part[name] for part in parts]) for name in names})
+    return tables
+
+
+def vehicle_table(layout: Layout, **splits: Evaluator) -> dict[str, np.ndarray]:
+    """The table of one layout: see `vehicle_tables`."""
+    return vehicle_tables([layout], **splits)[0]
+
+
+def _frame_table(vehicles: Vehicles, layout: Layout, scored: Scored, row: int, split: str) -> dict[str, np.ndarray]:
+    shares = scored.seen.occupancy[row]
+    away = [np.hypot(*(vehicles.centre_m[:, :2] - mounting.pose.position[:2]).T) for mounting in layout]
+    return {
+        "frame": np.full(len(vehicles), vehicles.frame),
+        "vehicle_id": vehicles.vehicle_id,
+        "class": vehicles.class_name,
+        **dict(zip(("x_m", "y_m", "z_m"), vehicles.centre_m.T, strict=True)),
+        **dict(zip(("length_m", "width_m", "height_m"), vehicles.size_m.T, strict=True)),
+        "heading_deg": np.degrees(vehicles.heading_rad),
+        "distance_m": np.min(away, axis=0),
+        "points": scored.seen.points[row],
+        **dict(zip(("p_top", "p_side", "p_front"), shares.T, strict=True)),
+        "entropy_bits": entropy(shares).sum(axis=1),
+        "detectable": scored.detectable[row],
+        "lane": vehicles.lane,
+        "split": np.full(len(vehicles), split),
+        METRIC_VALUE: scored.values[row],
+    }
+
+
+# --- Groups of boxes, and the shares of them that are detectable ------------------------------------------------------
+
+
+def distance_bands(table: dict[str, np.ndarray], width_m: float = 10.0) -> list[tuple[str, np.ndarray]]:
+    """Names of the distance bands that hold vehicles, and which rows of a vehicle table each holds."""
+    band = (table["distance_m"] // width_m).astype(int)
+    return [(f"{number * width_m:g}-{(number + 1) * width_m:g} m", band == number) for number in np.unique(band)]
+
+
+_QUARTERS = ("+x", "+y", "-x", "-y")
+_MEANT_SHARE = 0.05  # of the vehicles of a lane; fewer that head another way are no lane of their own
+
+
+def lanes(table: dict[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Names of the lanes that hold vehicles, and which rows of a vehicle table each holds.
+
+    A number that is of two lanes, as where each direction of travel counts from its own kerb, is split by headings.
+    """
+    found, towards = [], np.exp(1j * np.radians(table["heading_deg"]))
+    for number in np.unique(table["lane"]):
+        rows, name = table["lane"] == number, f"lane {number}" if number else "no lane"
+        axis = np.sqrt((towards[rows] ** 2).sum())  # of both ways, as their doubled angles are one
+        along = (towards * axis.conj()).real > 0.0
+        ways = {_way(towards[one]): one for one in (rows & along, rows & ~along) if one.any()}
+        if number and min(one.sum() for one in ways.values()) >= _MEANT_SHARE * rows.sum() and len(ways) > 1:
+            found += [(f"{name}, towards {_QUARTERS[way]}", ways[way]) for way in sorted(ways)]
+        else:
+            found.append((name, rows))
+    return found
+
+
+def _way(towards):
+    """The quarter of the circle about the mean of directions, unit complex numbers."""
+    return round(float(np.degrees(np.angle(towards.sum()))) / 90.0) % 4
+
+
+def classes(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Names of the classes of vehicles, and which rows of a vehicle table each holds."""
+    return [(str(name), table["class"] == name) for name in np.unique(table["class"])]
+
+
+def zones(table: Mapping[str, np.ndarray], objective: ObjectiveSettings) -> list[tuple[str, np.ndarray]]:
+    """Names of the scene's zones that hold vehicles, and of what is outside, and the rows that each holds."""
+    zone = first_zone(objective, np.column_stack([table["x_m"], table["y_m"]]))
+    names = [*(one.name for one in objective.zones), "outside all zones"]
+    return [(name, zone == number) for number, name in enumerate(names) if (zone == number).any()]
+
+
+class BoxShares:
+    """Detectable shares with intervals and objective of the boxes of one split, before (the baseline) and after.
+
+    Parameters
+    ----------
+    before, after : mapping of str to ndarray, (n,)
+        Vehicle tables of the baseline and of a mounting.
+    block, recording : ndarray of int, (n,)
+        Block of time and recording of each row.
+    seed : int or None
+        For the resampling of blocks; None where these boxes have chosen the mounting, and no interval is given.
+    """
+
+    def __init__(
+        self, before: Mapping, after: Mapping, block: np.ndarray, recording: np.ndarray, seed: int | None
+    ) -> None:
+        self.before, self.after, self._block, self.recording, self._seed = before, after, block, recording, seed
+
+    @classmethod
+    def of_split(cls, before: Mapping, after: Mapping, split: str, plan: FramePlan, seed: int | None) -> BoxShares:
+        """That of the frames of a split, ``"search"`` or ``"holdout"``, of a plan."""
+        before, after = (
+            {key: values[table["split"] == split] for key, values in table.items()} for table in (before, after)
+        )
+        frame, block, recording = (getattr(plan, f"{split}{what}") for what in ("", "_block", "_recording"))
+        at = np.searchsorted(frame, before["frame"])
+        return cls(before, after, block[at], recording[at], seed)
+
+    def shares(self, rows: np.ndarray | slice = slice(None)) -> dict[str, object]:
+        """Detectable shares of some rows before and after, their difference, and 90 % intervals, as JSON holds them."""
+        vehicle, block, recording = self.before["vehicle_id"][rows], self._block[rows], self.recording[rows]
+        before, after = self.before["detectable"][rows], self.after["detectable"][rows]
+        ends, of = [None] * 3, (vehicle, block, self._seed, recording)
+        if self._seed is not None:
+            ends = [share_interval_90(before, *of), share_interval_90(after, *of)]
+            ends.append(share_gain_interval_90(before, after, *of))
+        before_90, after_90, gain_90 = (pair and list(pair) for pair in ends)
+        return {
+            "boxes": len(vehicle),
+            "distinct_vehicles": len(np.unique(vehicle)),
+            "before": float(before.mean()),
+            "before_interval_90": before_90,
+            "after": float(after.mean()),
+            "after_interval_90": after_90,
+            "gain": float(after.mean() - before.mean()),
+            "gain_interval_90": gain_90,
+        }
+
+    def share_scores(self, rows: np.ndarray | slice = slice(None)) -> dict[str, object]:
+        """The same of the mounting beside the baseline, by the names that result.json has beside other scores."""
+        shares = self.shares(rows)
+        named = {f"detectable_share_{key}": shares[key] for key in ("gain", "gain_interval_90")}
+        named["detectable_share_interval_90"] = shares["after_interval_90"]
+        return {key: shares[key] for key in ("boxes", "distinct_vehicles")} | named
+
+    def groups(self, site: Site) -> list[dict[str, object]]:
+        """`shares` by distance, lane, class and zone, each with ``by``, ``name`` and the objective per vehicle."""
+        metric, objective = metric_named(site.scoring.metric), site.scenario.objective
+        weight, rows = vehicle_weight(self.before), []
+        scores = [
+            vehicle_score(
+                metric.merit(metric_values(table)), table["detectable"], site.scoring.loss, site.scoring.reading
+            )
+            for table in (self.before, self.after)
+        ]
+        found = {"distance": distance_bands(self.before), "lane": lanes(self.before), "class": classes(self.before)}
+        found["zone"] = zones(self.before, objective) if objective.zones else []
+        if not self.before["lane"].any():
+            del found["lane"]
+        for by, groups in found.items():
+            for name, chosen in groups:
+                of = weight[chosen]
+                means = [float(np.average(score[chosen], weights=of)) if of.any() else None for score in scores]
+                mean = dict(zip(("objective_before", "objective_after"), means, strict=True))
+                rows.append({"by": by, "name": name, **self.shares(chosen), **mean})
+        return rows
+
+
+def add_shares(
+    site: Site, verdict: Mapping[str, dict], tables: Mapping[str, Mapping], seed: int | None
+) -> list[dict[str, object]]:
+    """Add to what `judge` says of each mounting its boxes, vehicles and detectable share with intervals.
+
+    Parameters
+    ----------
+    verdict : mapping
+        Of `run.verdict.judge`, which is added to.
+    tables : mapping
+        Of each mounting its vehicle table.
+    seed : int or None
+        Of the searched frames, None where they have chosen a mounting; held-out ones take the scene's.
+
+    Returns
+    -------
+    list of dict
+        `BoxShares.groups` of the mounting on the frames that judge it.
+    """
+    held_out, shares_of = verdict["optimised"]["holdout"] is not None, {}
+    for name, scores in verdict.items():
+        for split, of, by in (("search", scores, seed), ("holdout", scores["holdout"], site.scenario.search.seed)):
+            if of is None:
+                continue
+            judged = BoxShares.of_split(tables["baseline"], tables[name], split, site.plan, by)
+            shares_of[name, split] = judged
+            rows = [(of, slice(None))]
+            for number, row in enumerate(scores.get("recordings", ())):
+                rows.append((row if split == "search" else row["holdout"], judged.recording == number))
+            for scored, chosen in rows:
+                if scored is not None:
+                    scored |= judged.share_scores(chosen)
+                    if name == "baseline" and scored["detectable_share_interval_90"]:  # it gains nothing over itself
+                        scored["detectable_share_gain_interval_90"] = [0.0, 0.0]
+    return shares_of["optimised", "holdout" if held_out else "search"].groups(site)
