@@ -24,6 +24,7 @@ from blender_lidar.studies.variations import TRAFFIC, metric_variations, sensor_
 from tests.refusals import refused
 from tests.small_scene import CASTER, MAPPED, done, mounting, traffic_rows, without_charts, write_scene, write_table
 
+PEAK = "views beyond P = 1/e"
 TINY = StabilityEffort(3, 2, heights=2, tilts=3, fine_tilts=5, seeds=2, budget=1.0, draws=1, quick=True)
 
 
@@ -189,9 +190,12 @@ def test_a_study_leaves_a_verdict_on_every_line_and_one_that_was_stopped_comes_t
     with (run / "stability.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == len(result["findings"])
-    assert {row["verdict"] for row in rows} <= {"stable", "fragile", "fails", "undecided"}
+    assert {row["verdict"] for row in rows} <= {"stable", "fragile", "fails", "undecided", ""}
+    assert {row["what"] for row in rows if not row["verdict"]} == {"optimum on other traffic of this kind", PEAK}
+    told = [row for row in rows if row["verdict"] not in ("undecided", "") and row["what"] != "gain over the baseline"]
+    assert all(row["detectable_share_lost_interval_90_low"] for row in told)
     assert {row["section"] for row in rows} == {"traffic", "mounting", "metric", "sensor", "search"}
-    assert {"loss", "interval_90_low", "detectable_share_mounting"} <= set(rows[0])
+    assert {"loss", "objective_lost_interval_90_low", "detectable_share_mounting"} <= set(rows[0])
     report = (run / "report.md").read_text()
     assert all(row["text"] in report for row in rows)
     for heading in HEADINGS.values():
@@ -207,7 +211,7 @@ def test_a_study_leaves_a_verdict_on_every_line_and_one_that_was_stopped_comes_t
     assert json.loads(out) == result
 
 
-def test_a_mounting_of_ones_own_that_sees_nothing_is_judged_on_searched_frames_where_nothing_is_held_out(
+def test_a_mounting_of_ones_own_that_sees_nothing_is_judged_by_cross_fitting_where_nothing_is_held_out(
     tiny, tmp_path, capsys
 ):
     scene = write_scene(tmp_path, {**MAPPED, "traffic": {"holdout": 0.0, "frames": None}})
@@ -217,9 +221,14 @@ def test_a_mounting_of_ones_own_that_sees_nothing_is_judged_on_searched_frames_w
     assert (result["mounting_given"], result["answered_frames"]) == (True, 6)
     text = STABILITY_REPORT.text(result)
     assert "as given: 30.00 m above the road, tilted 7.0° across it, turned 30.0°; " in text
-    assert "same frames (nothing is held out" in text
-    assert "undecided  gain on held-out traffic" in text
-    assert "no view of any vehicle has a return" in {finding["text"] for finding in result["findings"]}
+    assert "(cross-fitting, as too little is held out)" in " ".join(text.split())
+    of = {finding["what"]: finding for finding in result["findings"]}
+    assert of[PEAK]["text"] == "no view of any vehicle has a return"
+    assert of["as the scene has it"]["numbers"]["detectable_share"]["mounting"] == 0.0
+    gained = of["gain over the baseline"]["numbers"]
+    assert gained["gain_over_baseline"] == pytest.approx(
+        result["objective_per_vehicle"] - result["baseline_per_vehicle"]
+    )
 
 
 def test_where_only_the_height_is_searched_candidates_differ_by_height_alone(site):
@@ -235,7 +244,7 @@ def test_a_study_of_another_metric_tells_of_no_peak(tiny, tmp_path, capsys):
     out, _ = done(capsys, "stability", scene, "--quick", "--out", tmp_path / "run", "--json")
     message = {finding["what"] for finding in json.loads(out)["findings"]}
     assert "optimum on other traffic of this kind" in message
-    assert "views beyond P = 1/e" not in message
+    assert PEAK not in message
 
 
 def test_fewer_frames_are_not_so_few_that_they_are_empty(site):

@@ -110,18 +110,18 @@ RESULT = {
 }
 
 
-def change(section, what, value, verdict, loss, interval, tilts):
-    numbers = {"loss": loss, "interval_90": interval, "best_tilt_deg": tilts}
+def change(section, what, value, verdict, lost, interval, tilts):
+    numbers = {"detectable_share_lost": lost, "detectable_share_lost_interval_90": interval, "best_tilt_deg": tilts}
     return {"section": section, "what": what, "value": value, "verdict": verdict, "numbers": numbers}
 
 
 CHANGES = [
     change("traffic", "density", "light", "stable", -0.02, [-0.04, 0.0], [22.0, 24.0]),
     change("metric", "cell size", "2.5 cm", "fragile", 0.08, [0.01, 0.15], [19.0]),
-    change("metric", "other metric", "points", "fails", 1.8, None, [1.0]),
-    change("metric", "delta of Eq. 11", "0.02", "stable", -0.378, [-0.7, -0.02], [18.0]),
+    change("metric", "other metric", "points", "fails", 1.8, [0.1, 3.5], [1.0]),
+    change("metric", "delta of Eq. 11", "0.02", "undecided", -0.378, None, [18.0]),
 ]
-OPTIMUM = {"section": "traffic", "what": "optimum", "value": "", "verdict": "stable"}
+OPTIMUM = {"section": "traffic", "what": "optimum", "value": "", "verdict": None}
 OPTIMUM["numbers"] = {"tilt_interval_90_deg": [20.0, 24.0]}
 
 
@@ -142,8 +142,8 @@ def test_every_change_has_a_row_with_its_loss_its_interval_and_its_optima(drawn,
     span, mark = lines_at(moved, 0)
     np.testing.assert_allclose(span.get_xdata(), [22.0, 24.0])
     np.testing.assert_allclose(mark.get_xdata(), 23.0)
-    markers = [lines_at(lost, row)[1].get_marker() for row in range(3)]
-    assert len(set(markers)) == 3  # verdicts differ without colour
+    markers = [lines_at(lost, row)[1].get_marker() for row in range(4)]
+    assert len(set(markers)) == 4  # verdicts differ without colour
     assert (tmp_path / "changes.png").stat().st_size > 1000
 
 

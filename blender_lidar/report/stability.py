@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..metrics.catalogue import metric_named
-from ..studies.findings import MOST_FRAGILE_LOSS, MOST_STABLE_LOSS, UNDECIDED, VERDICT_RULE, VERDICTS, worst
+from ..studies.findings import SHARE_LIMITS, STABLE, UNDECIDED, VERDICT_RULE, VERDICTS, worst
 from ..studies.variations import SECTIONS
 from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, SMALL_PT, legend_below, sheet
 from .study import Section, StudyReport
@@ -41,35 +41,34 @@ VERDICT_LOOKS = {
     "stable": {"color": OPTIMISED_LOOK["color"], "marker": "o"},
     "fragile": {"color": "#5b8fc7", "marker": "^"},
     "fails": {"color": BASELINE_LOOK["color"], "marker": "s", "markerfacecolor": "white"},
+    "undecided": {"color": "0.55", "marker": "x"},
 }
-_LEAST_PERCENT, _MOST_PERCENT = -30.0, 100.0  # a loss beyond is drawn at the rim
-_LINEAR_PERCENT = 1.0
+_LEAST_POINTS, _MOST_POINTS = -30.0, 100.0  # a loss beyond is drawn at the rim
+_LINEAR_POINTS = 1.0
 _ROW_MM, _HEADING_MM = 3.7, 40.0
 
 
 def draw_changes(path: str | Path, result: Mapping) -> bool:
-    """A row for each change: what the mounting loses, and where the optimum would be under each draw of it.
+    """A row for each change: the detectable share that is lost, and where the optimum would be under each draw of it.
 
     A loss beyond the rim is drawn on it; shaded is where other traffic puts the optimum of the scene as it is. False
     where there is nothing to draw.
     """
-    changes = [
-        one for one in result["findings"] if one["verdict"] in VERDICT_LOOKS and "best_tilt_deg" in one["numbers"]
-    ]
+    changes = [one for one in result["findings"] if "best_tilt_deg" in one["numbers"]]
     if not changes:
         return False
     interval = _numbers_with(result, "tilt_interval_90_deg").get("tilt_interval_90_deg")
-    limits = [100.0 * MOST_STABLE_LOSS, 100.0 * MOST_FRAGILE_LOSS]
-    title = "What the mounting loses when one thing changes"
+    limits = [100.0 * limit for limit in SHARE_LIMITS]
+    title = "What the mounting loses when one thing changes, and where the best one would hang"
     with sheet(path, _HEADING_MM + _ROW_MM * len(changes), title, _about(result)) as figure:
         from matplotlib.lines import Line2D
 
         lost, moved = figure.subplots(1, 2, sharey=True, width_ratios=(1.25, 1.0))
         for row, one in enumerate(changes):
             look, found = VERDICT_LOOKS[one["verdict"]], one["numbers"]
-            loss, tilts = 100.0 * found["loss"], found["best_tilt_deg"]
-            ends = 100.0 * np.array(found["interval_90"] or [found["loss"]] * 2)
-            rim = float(np.clip(loss, _LEAST_PERCENT, _MOST_PERCENT))
+            loss, tilts = found["detectable_share_lost"], found["best_tilt_deg"]
+            ends = 100.0 * np.array(found["detectable_share_lost_interval_90"] or [loss] * 2)
+            rim = float(np.clip(100.0 * loss, _LEAST_POINTS, _MOST_POINTS))
             for axes, middle, span in ((lost, rim, ends), (moved, float(np.mean(tilts)), (min(tilts), max(tilts)))):
                 axes.plot(span, [row, row], color=look["color"], linewidth=1.2, zorder=2)
                 axes.plot(middle, row, linestyle="none", markersize=4.0, clip_on=False, zorder=3, **look)
@@ -81,11 +80,11 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
                 axes.axvline(x, **limit)
             axes.grid(visible=True, axis="x")
             axes.grid(visible=True, axis="y", linewidth=0.3)
-        lost.set_xscale("symlog", linthresh=_LINEAR_PERCENT)
-        lost.set(xlim=(_LEAST_PERCENT, _MOST_PERCENT), xlabel="Loss of the mounting [% of the gain]")
+        lost.set_xscale("symlog", linthresh=_LINEAR_POINTS)
+        lost.set(xlim=(_LEAST_POINTS, _MOST_POINTS), xlabel="Loss of detectable share [percentage points]")
         lost.axvline(0.0, color=INK, linewidth=0.8)
-        ticks = [-10.0, -1.0, 0.0, 1.0, *limits, _MOST_PERCENT]
-        lost.set_xticks(ticks, [f"{tick:g}" if tick < _MOST_PERCENT else f"{tick:g}+" for tick in ticks])
+        ticks = [-10.0, -1.0, 0.0, *limits, 20.0, _MOST_POINTS]
+        lost.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         lost.minorticks_off()
         moved.set_xlabel(f"Best {_tilt(result).split('_')[0]} under the change [deg]")
         lost.set_yticks(range(len(changes)), [_name(one, ": ") for one in changes], fontsize=SMALL_PT)
@@ -97,7 +96,7 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
         if interval is not None:
             moved.axvspan(*interval, color=FAINT, alpha=0.45, linewidth=0.0)
             handles.append(Line2D([], [], color=FAINT, linewidth=6.0, label="90 % of optima on other traffic"))
-        legend_below(figure, handles, columns=len(handles))
+        legend_below(figure, handles, columns=3)
     return True
 
 
@@ -105,9 +104,11 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
 
 HEADINGS = dict(zip(SECTIONS, ("Traffic", "Mounting tolerance", "Metric", "Sensor", "Search"), strict=True))
 _COLUMNS = ("verdict", "change", "found")
+_MOST_NAMED = 4
 _JUDGED = {
-    "held out": "held-out frames, with 90 % intervals",
-    "searched": "same frames (nothing is held out, so there are no intervals)",
+    "held out": "held-out frames",
+    "searched": "same frames, each block of time by mountings that are chosen without it (cross-fitting, as too little "
+    "is held out)",
 }
 
 
@@ -115,7 +116,7 @@ def _sections(result: Mapping) -> list[Section]:
     """What `study_stability` came to."""
     sections = [Section("", (), _head(result))]
     for section, findings in _by_section(result).items():
-        rows = [(one["verdict"], _name(one), one["text"]) for one in findings]
+        rows = [(one["verdict"] or "", _name(one), one["text"]) for one in findings]
         sections.append(Section(HEADINGS[section], [_COLUMNS, *rows], ()))
     return sections
 
@@ -139,30 +140,33 @@ def _head(result: Mapping) -> list[str]:
         f"{result['caster']}, detail {result['detail']}",
         f"Mounting, {origin}: {place}; {metric.in_unit('objective')} per vehicle {best}, baseline {base}",
         f"Under each change the best height and tilt are searched again on {result['varied_frames']} of the searched "
-        "frames, with the other coordinates fixed. A loss is what the mounting lacks to that best one, on the "
-        f"{result['judged_frames']} {_JUDGED[result['judged_on']]}; compare it with the line 'as the scene has it'",
-        f"Verdicts - {VERDICT_RULE}",
+        "frames, with the other coordinates fixed: that is the rival. A loss is what the mounting lacks to it, on the "
+        f"{result['judged_frames']} {_JUDGED[result['judged_on']]}, with its 90 % interval",
+        VERDICT_RULE,
     ]
 
 
 def _answer(result: Mapping) -> list[str]:
-    """The gravest verdict of each section, and how often there is each."""
+    """The gravest verdict of each section, which lines have it, and how often there is each."""
     lines = []
     for section, findings in _by_section(result).items():
         verdicts = [one["verdict"] for one in findings]
         counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in VERDICTS if verdict in verdicts)
-        gravest = worst(verdicts)
-        lines.append(f"{HEADINGS[section]}: {'at worst ' * (gravest != UNDECIDED)}{gravest} ({counts})")
+        if (gravest := worst(verdicts)) not in (STABLE, UNDECIDED):
+            named = [_name(one, " ") for one in findings if one["verdict"] == gravest]
+            more = "; ..." if len(named) > _MOST_NAMED else ""
+            counts = f"at worst {gravest} ({counts}): {'; '.join(named[:_MOST_NAMED])}{more}"
+        lines.append(f"{HEADINGS[section]}: {counts}")
     return lines
 
 
 def _rows(result: Mapping) -> list[dict]:
     """A row a finding: what was found, what the mounting loses, and how sure that is."""
-    keys, numbers = ("section", "what", "value", "verdict", "text"), ("loss", "interval_90", "detectable_share")
+    keys, losses = ("section", "what", "value", "verdict", "text"), ("detectable_share_lost", "objective_lost", "loss")
     return [
         {key: one[key] for key in keys}
-        | {key: one["numbers"].get(key) for key in numbers[:2]}
-        | {numbers[2]: one["numbers"].get(numbers[2], {})}
+        | {key: one["numbers"].get(key) for loss in losses for key in (loss, f"{loss}_interval_90")}
+        | {"detectable_share": one["numbers"].get("detectable_share", {})}
         for one in result["findings"]
     ]
 

@@ -1,8 +1,7 @@
 """Findings of the study of stability: what one change does to a mounting, and how a number becomes a verdict.
 
-A verdict is on a share of the gain over the baseline that the mounting leaves to the best one: of the grid under the
-change, of other traffic, of other seeds, or of installations off the plan. Beside a loss stand its 90 % interval, or
-None, and the shares of the vehicles that are detectable.
+A loss is paired: what the mounting lacks to its rival on the same frames. The rival is the best one under a change, the
+mounting as planned, or the best known. A verdict comes from the 90 % interval of a loss, never from the loss alone.
 """
 
 from __future__ import annotations
@@ -15,27 +14,31 @@ from typing import NamedTuple
 import numpy as np
 
 from ..metrics.metric import Metric
-from ..run.tolerance import tolerance_text
+from ..run.tolerance import LOW_SHARE, tolerance_text
 from ..scene.mounting import COORDINATE_NAMES
 from ..scene.settings import Tolerance
-from ..statistics import FEWEST_BLOCKS, interval_90, ratio_interval_90
+from ..statistics import FEW_BLOCKS, FEW_VEHICLES, FEWEST_BLOCKS, block_sums, interval_90, student_t_95
 from .candidates import BASELINE, FIRST, Candidates
 from .driver import Landscape, percent
-from .effects import share_lost
+from .effects import Lost, share_lost
 from .variations import METRIC, MOUNTING, SEARCH, TRAFFIC
 
-GRID = FIRST + 1  # rows of a landscape: the baseline, the mounting in question, and where the grid begins
+RIVAL = FIRST + 1  # rows of what is judged: the baseline, the mounting in question, and its rival
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------
 
 STABLE, FRAGILE, FAILS = "stable", "fragile", "fails"
-UNDECIDED = "undecided"  # nothing to judge by: too few blocks, or an objective that gains nothing anywhere
+UNDECIDED = "undecided"  # no interval, or one that does not tell
 VERDICTS = (STABLE, FRAGILE, FAILS, UNDECIDED)
-MOST_STABLE_LOSS, MOST_FRAGILE_LOSS = 0.05, 0.20  # shares of the gain over the baseline
+SHARE_LIMITS = (0.01, 0.05)  # of the detectable share: what is lost at most, if stable and if fragile
+GAIN_LIMITS = (0.05, 0.20)  # the same of the gain over the baseline in the metric's unit
+REAL_GAIN = 2.0  # half-widths of its 90 % interval
 VERDICT_RULE = (
-    f"stable: the mounting loses at most {100 * MOST_STABLE_LOSS:g} % of the possible gain; fragile: at most "
-    f"{100 * MOST_FRAGILE_LOSS:g} %; fails: more, and surely more than {100 * MOST_STABLE_LOSS:g} %; undecided: "
-    "either every mounting is equally good, or there is too little traffic"
+    "Verdicts stand on the percentage points of detectable share that the mounting loses to its rival: stable, at most "
+    f"{100 * SHARE_LIMITS[0]:g}; fragile, at most {100 * SHARE_LIMITS[1]:g}; fails, more; undecided, without a 90 % "
+    "interval or with one that reaches from stable to fails: either every mounting is equally good, or there is too "
+    f"little traffic. What is stable so, but loses more than {100 * GAIN_LIMITS[0]:g} % of the gain in the metric, is "
+    "fragile. No share is told of a gain that is less than twice its noise"
 )
 
 
@@ -49,8 +52,8 @@ class Finding:
         One of the study's sections.
     what, value : str
         What was changed or asked, and to what; `value` may be empty.
-    verdict : str
-        One of `VERDICTS`.
+    verdict : str or None
+        One of `VERDICTS`; None where a number is told that is no loss.
     text : str
         What was found, in a sentence's worth of words.
     numbers : dict
@@ -60,39 +63,165 @@ class Finding:
     section: str
     what: str
     value: str
-    verdict: str
+    verdict: str | None
     text: str
     numbers: dict = field(default_factory=dict)
 
 
-def by_loss(loss: float | None, interval: Sequence[float] | None = None) -> str:
-    """The verdict on a share of the gain that is lost; None where there is no gain to lose.
-
-    Where its 90 % interval is known, a loss that may be none does not fail, and one that may be large is not stable.
-    """
-    if loss is None:
+def by_loss(loss: float, interval: Sequence[float] | None, limits: Sequence[float] = SHARE_LIMITS) -> str:
+    """The verdict on a loss with its 90 % interval: undecided without one, or where it reaches from stable to fails."""
+    most_stable, most_fragile = limits
+    if interval is None or interval[0] <= most_stable < most_fragile < interval[1]:
         return UNDECIDED
-    low, high = (loss, loss) if interval is None else interval
-    if loss <= MOST_STABLE_LOSS:
-        return STABLE if high <= MOST_FRAGILE_LOSS else UNDECIDED
-    if loss <= MOST_FRAGILE_LOSS:
-        return FRAGILE
-    return FAILS if low > MOST_STABLE_LOSS else UNDECIDED
+    return STABLE if loss <= most_stable else FRAGILE if loss <= most_fragile else FAILS
 
 
-def worst(verdicts: Sequence[str]) -> str:
+def by_both(share: Lost, of_gain: Lost | None) -> str:
+    """The verdict on the loss of detectable share; what is stable so may be fragile by the loss of a real gain."""
+    verdict = by_loss(share.share, share.interval_90)
+    if verdict != STABLE or of_gain is None:
+        return verdict
+    by_gain = by_loss(of_gain.share, of_gain.interval_90, GAIN_LIMITS)
+    return FRAGILE if by_gain == FAILS else by_gain
+
+
+def worst(verdicts: Sequence[str | None]) -> str:
     """The gravest of several verdicts; what is undecided says nothing unless all are."""
-    decided = [verdict for verdict in verdicts if verdict != UNDECIDED]
+    decided = [verdict for verdict in verdicts if verdict not in (UNDECIDED, None)]
     return max(decided, key=VERDICTS.index) if decided else UNDECIDED
 
 
-def lost(share: float, interval: Sequence[float] | None = None) -> str:
-    """What a mounting loses, or by what it is better, as text; with its 90 % interval where there is one."""
-    sign, words = (1.0, "loses") if share > -0.0005 else (-1.0, "is better by")
-    return f"{words} {percent(sign * share, interval and sorted(sign * end for end in interval))}"
-
-
 # --- losses -----------------------------------------------------------------------------------------------------------
+
+
+class Judges(NamedTuple):
+    """What judges.
+
+    Attributes
+    ----------
+    block : ndarray of int, (f,)
+        Block of time of each frame.
+    distinct : float
+        Different vehicles there are for each that is counted, as a vehicle may count in several frames.
+    metric : Metric
+        Whose unit the objective has.
+    """
+
+    block: np.ndarray
+    distinct: float
+    metric: Metric
+
+
+class Losses(NamedTuple):
+    """What a mounting loses to its rival, each with its 90 % interval over blocks of time.
+
+    Attributes
+    ----------
+    share : Lost
+        Of the vehicles, those that are detectable.
+    objective, gain : Lost
+        Objective per vehicle, and what the rival gains of it over the baseline.
+    of_gain : Lost or None
+        The one over the other; None where the gain is less than `REAL_GAIN` times its noise.
+    """
+
+    share: Lost
+    objective: Lost
+    gain: Lost
+    of_gain: Lost | None
+
+    @property
+    def numbers(self) -> dict:
+        """As JSON holds them; ``loss`` is the one of the gain."""
+        known = {"detectable_share_lost": self.share, "objective_lost": self.objective, "gain": self.gain}
+        known["loss"] = self.of_gain or Lost(None, None, 0)
+        ends = {f"{name}_interval_90": one.interval_90 and list(one.interval_90) for name, one in known.items()}
+        return {name: one.share for name, one in known.items()} | ends
+
+
+def losses_of(draws: Sequence[Landscape], judges: Judges) -> Losses:
+    """What the mounting loses to its rival, a mean over draws of a change; three rows of each draw: see `RIVAL`."""
+    totals = [(one.objective, one.detectable, one.weight, one.vehicles) for one in draws]
+    parts = zip(*([block_sums(each, judges.block) for each in one] for one in totals), strict=True)
+    objective, noticed, weight, vehicles = map(np.array, parts)
+    (baseline, own, rival), filled = objective.transpose(1, 0, 2), vehicles.sum(axis=0) > 0
+    gain, of_gain = share_lost(rival - baseline, weight, filled), None
+    if gain.interval_90 is not None and gain.share >= REAL_GAIN * (gain.interval_90[1] - gain.share):
+        of_gain = share_lost(rival - own, rival - baseline, filled)
+    share = share_lost(noticed[:, RIVAL] - noticed[:, FIRST], vehicles, filled)
+    distinct = judges.distinct * vehicles.sum() / len(draws)
+    return Losses(of_vehicles(share, distinct), share_lost(rival - own, weight, filled), gain, of_gain)
+
+
+def of_vehicles(share: Lost, distinct: float) -> Lost:
+    """A difference of two shares of the same vehicles with an interval that holds for few of them.
+
+    Half a vehicle is added to each of those that only the one and only the other detects (Agresti and Min 2005): where
+    no vehicle differs the next one may. None for fewer than ten different vehicles, `distinct`.
+    """
+    if share.interval_90 is None or distinct < FEW_VEHICLES:
+        return share._replace(interval_90=None)
+    reach = math.hypot(share.interval_90[1] - share.share, student_t_95(share.blocks - 1) / (distinct + 2.0))
+    return share._replace(interval_90=(share.share - reach, share.share + reach))
+
+
+def losses_text(losses: Losses, metric: Metric) -> str:
+    """What is lost, and what is not, with 90 % intervals."""
+    unit_of_metric = "% of the metric" if metric.of_share else metric.unit or "of the metric"
+    scales = (losses.share, _points, "percentage points"), (losses.objective, metric.number, unit_of_metric)
+    lost, kept = [], []
+    for one, number, unit in scales:
+        value, *ends = (_unsigned(number(each)) for each in (one.share, *(one.interval_90 or ())))
+        if float(value) > 0.0:
+            lost.append(f"{value} {unit}" + f" ({' to '.join(ends)})" * bool(ends))
+        else:
+            kept.append(f"{' to '.join(ends) or value} {unit}")
+        if one is losses.objective and float(value) > 0.0 and losses.of_gain is not None:
+            lost.append(f"{percent(*losses.of_gain[:2])} of the gain")
+    found = [f"loses {', '.join(lost)}"] * bool(lost) + [f"no loss found ({', '.join(kept)})"] * bool(kept)
+    return "; ".join(found)
+
+
+def _points(share: float) -> str:
+    return f"{100.0 * share:.1f}"
+
+
+def _unsigned(number: str) -> str:
+    """What rounds to 0 has no sign."""
+    return number if float(number) else number.lstrip("-")
+
+
+def judged_finding(
+    change: tuple[str, str, str],
+    draws: Sequence[Landscape],
+    judges: Judges,
+    rival: str = "the rival",
+    more: str = "",
+    numbers: Mapping = {},
+) -> Finding:
+    """What a mounting loses to its rival: both detectable shares, the losses, the verdict.
+
+    Parameters
+    ----------
+    change : (str, str, str)
+        Section, what and value.
+    draws : sequence of Landscape
+        Rows as of `RIVAL`, on the frames that judge.
+    judges : Judges
+    rival, more : str
+        What the rival is called, and what else is told.
+    numbers : mapping
+        Further ones.
+    """
+    losses = losses_of(draws, judges)
+    baseline, own, best = np.mean([one.detectable_share() for one in draws], axis=0).tolist()
+    text = f"{percent(own)} detectable, {rival} {percent(best)}: {losses_text(losses, judges.metric)}{more}"
+    told = {**numbers, "vehicles_per_frame": float(np.mean([one.vehicles.mean() for one in draws]))}
+    told["detectable_share"] = {"baseline": baseline, "mounting": own, "best": best}
+    return Finding(*change, by_both(losses.share, losses.of_gain), text, told | losses.numbers)
+
+
+# --- rivals -----------------------------------------------------------------------------------------------------------
 
 
 def chooses(landscape: Landscape) -> bool:
@@ -101,19 +230,30 @@ def chooses(landscape: Landscape) -> bool:
     return bool(np.ptp(values) > 1e-9 * np.abs(values).max())
 
 
-def values_under(weights: np.ndarray, objective: np.ndarray, vehicles: np.ndarray) -> np.ndarray:
-    """Objective per vehicle, (m, r), with each block of time counted `weights` (r, b) times."""
-    return (objective @ weights.T) / (weights @ vehicles)
+def best_row(landscape: Landscape, frames: np.ndarray | slice = slice(None)) -> int:
+    """The row of the best mounting, the one in question among them; the first of equals."""
+    return FIRST + int(np.argmax(landscape.per_vehicle(frames)[FIRST:]))
 
 
-def losses_to_best(values: np.ndarray) -> np.ndarray:
-    """Share of the gain that the mounting in question leaves to the best of all, for each column of `values` (m, r).
+def cross_fitted(landscape: Landscape, block: np.ndarray) -> np.ndarray:
+    """Cross-fitting: for each frame the row that is best on the blocks of time that do not judge it, (f,).
 
-    It may itself be that, as candidates are a grid; NaN where the best is no better than the baseline.
+    With six blocks or more a block's neighbours do not choose for it either, as some of its vehicles are in them
+    (h-block cross-validation: Burman, Chow and Nolan 1994).
     """
-    best = values[FIRST:].max(axis=0)
-    gain = best - values[BASELINE]
-    return np.divide(best - values[FIRST], gain, out=np.full(len(gain), np.nan), where=gain > 0.0)
+    sums = block_sums(landscape.objective[FIRST:], block)
+    number = np.arange(sums.shape[1])
+    aside = 1 if len(number) >= FEW_BLOCKS else 0
+    others = sums @ (np.abs(number[:, None] - number) > aside)
+    return FIRST + np.argmax(others, axis=0)[np.unique(block, return_inverse=True)[1]]
+
+
+def beside(landscape: Landscape, own: int | np.ndarray, rival: int | np.ndarray) -> Landscape:
+    """The baseline, the mounting in question and its rival, given by their rows: one for all frames, or (f,)."""
+    frames = np.arange(len(landscape.vehicles))
+    rows = np.stack([np.broadcast_to(row, frames.shape) for row in (BASELINE, own, rival)])
+    picked = landscape.objective[rows, frames], landscape.detectable[rows, frames]
+    return Landscape(picked[0], landscape.vehicles, landscape.weight, picked[1])
 
 
 # --- the sample of traffic: is the gain real, and where does the optimum stray? ---------------------------------------
@@ -129,57 +269,62 @@ def samples_without_replacement(blocks: int, size: int, rng: np.random.Generator
     return weights
 
 
-_SURE_SHARE = 0.5  # of the gain that the lower end of its interval must keep
+def values_under(weights: np.ndarray, objective: np.ndarray, vehicles: np.ndarray) -> np.ndarray:
+    """Objective per vehicle, (m, r), with each block of time counted `weights` (r, b) times."""
+    return (objective @ weights.T) / (weights @ vehicles)
 
 
-def gain_finding(judged: Landscape | None, block: np.ndarray, seed: int, metric: Metric) -> Finding:
-    """Whether the mounting gains on held-out frames; None without any.
+def gain_finding(judged: Landscape, judges: Judges) -> Finding:
+    """Whether the mounting is better than the baseline: the baseline, it and again the baseline, as `beside` has them.
 
-    `block` (f,) labels them; `seed` is that of resampled blocks.
+    Stable is a gain in the metric of at least `REAL_GAIN` times its noise, fragile one whose interval leaves out 0.
     """
-    what, interval = "gain on held-out traffic", None
-    if judged is not None:
-        (baseline, reference), vehicles = judged.select([BASELINE, FIRST]).blocks(block)
-        interval = ratio_interval_90(reference - baseline, vehicles, seed)
-    if interval is None:
-        held_out = "nothing is held out" if judged is None else "too little traffic is held out for an interval"
-        return Finding(TRAFFIC, what, "", UNDECIDED, held_out)
-    values, (low, high) = judged.per_vehicle(), interval
-    gain = float(values[FIRST] - values[BASELINE])
-    decided = FAILS if low <= 0.0 else STABLE if low >= _SURE_SHARE * gain else FRAGILE
-    text = f"{metric.difference(gain)}{metric.per_vehicle}, 90 % interval {metric.number(low)} to {metric.number(high)}"
-    numbers = {"gain_over_baseline": gain, "interval_90": [low, high]}
-    numbers["detectable_share"] = dict(
-        zip(("baseline", "mounting"), judged.detectable_share()[:GRID].tolist(), strict=True)
-    )
-    numbers |= {"vehicles": int(judged.vehicles.sum()), "blocks": int((vehicles > 0).sum())}
-    return Finding(TRAFFIC, what, "", decided, text, numbers)
+    change, metric = (TRAFFIC, "gain over the baseline", ""), judges.metric
+    gained = losses_of([judged], judges)
+    share, gain = gained.share, gained.objective
+    before, after = judged.detectable_share()[[FIRST, RIVAL]].tolist()
+    numbers = {"detectable_share": {"baseline": before, "mounting": after}, "blocks": gain.blocks}
+    numbers["vehicles"] = int(judged.vehicles.sum())
+    for name, one in (("detectable_share_gained", share), ("gain_over_baseline", gain)):
+        numbers |= {name: one.share, f"{name}_interval_90": one.interval_90 and list(one.interval_90)}
+    text = f"{percent(after)} detectable, the baseline's {percent(before)}: "
+    if gain.interval_90 is None or share.interval_90 is None:
+        return Finding(*change, UNDECIDED, f"{text}too little traffic for an interval", numbers)
+    low, high = gain.interval_90
+    verdict = UNDECIDED if low <= 0.0 else STABLE if gain.share >= REAL_GAIN * (high - gain.share) else FRAGILE
+    if high < 0.0 or share.interval_90[1] < 0.0:
+        verdict = FAILS
+    points = [_points(one) for one in (share.share, *share.interval_90)]
+    text += f"gains {points[0]} percentage points ({points[1]} to {points[2]}), {metric.difference(gain.share)}"
+    text += f"{metric.per_vehicle} ({metric.number(low)} to {metric.number(high)})"
+    return Finding(*change, verdict, text, numbers)
 
 
-def optimum_finding(landscape: Landscape, mountings: Candidates, block: np.ndarray, seed: int) -> Finding:
-    """Where other traffic would put the optimum, and what the mounting leaves to it in 95 % of such traffic.
+def optimum_finding(
+    searched: Landscape, judged: Landscape, mountings: Candidates, block: np.ndarray, seed: int
+) -> Finding:
+    """Where other traffic would put the optimum, and how many vehicles are detectable from there on frames that judge.
 
     Halves of the blocks of time, drawn without replacement, stand for samples as large as the whole: a sample of m of b
     blocks strays from the whole as an independent one of m / (1 - m / b) blocks strays from the truth, exactly so for a
-    mean, about so for an argmax, of which the bootstrap tells too little (Abrevaya and Huang 2005).
+    mean, about so for an argmax, of which the bootstrap tells too little (Abrevaya and Huang 2005). A place is no loss,
+    and has no verdict.
     """
-    what = "optimum on other traffic of this kind"
-    objective, vehicles = landscape.blocks(block)
-    filled = vehicles > 0
+    what, objective = "optimum on other traffic of this kind", block_sums(searched.objective, block)
+    filled = block_sums(searched.vehicles, block) > 0
     blocks = int(filled.sum())
     if blocks < FEWEST_BLOCKS:
         return Finding(TRAFFIC, what, "", UNDECIDED, "too few blocks of time")
     weights = samples_without_replacement(blocks, max(1, blocks // 2), np.random.default_rng(seed))
-    values = values_under(weights, objective[:, filled], vehicles[filled])
-    best = GRID - FIRST + np.argmax(values[GRID:], axis=0)
-    (lowest, highest), (least, most) = (interval_90(column[best]) for column in mountings.points.T)
-    losses = losses_to_best(values)
-    loss = None if np.isnan(losses).all() else float(np.nanquantile(losses, 0.95))
-    left = "nothing is gained" if loss is None else f"in 95 % of them the mounting loses at most {percent(loss)}"
+    best = FIRST + np.argmax(objective[FIRST:][: len(mountings.points), filled] @ weights.T, axis=0)
+    (lowest, highest), (least, most) = (interval_90(column[best - FIRST]) for column in mountings.points.T)
+    shares = judged.detectable_share()
+    fewest, many = interval_90(shares[best])
     tilt = "lean" if mountings.leans else "tilt"
-    text = f"height {lowest:.2f} to {highest:.2f} m, {tilt} {least:.1f} to {most:.1f} deg (90 %); {left}"
-    numbers = {"height_interval_90_m": [lowest, highest], "tilt_interval_90_deg": [least, most], "loss_95": loss}
-    return Finding(TRAFFIC, what, "", by_loss(loss), text, numbers)
+    text = f"height {lowest:.2f} to {highest:.2f} m, {tilt} {least:.1f} to {most:.1f} deg (90 %); from there "
+    text += f"{percent(fewest)} to {percent(many)} are detectable, from the mounting {percent(float(shares[FIRST]))}"
+    numbers = {"height_interval_90_m": [lowest, highest], "tilt_interval_90_deg": [least, most]}
+    return Finding(TRAFFIC, what, "", None, text, numbers)
 
 
 # --- one change: where the optimum would go, and what the mounting leaves to it on other traffic ----------------------
@@ -195,7 +340,7 @@ class ChangeDraw(NamedTuple):
     chooses : bool
         Whether the objective prefers any candidate there.
     judged : Landscape
-        The baseline, the mounting in question and that candidate on the frames that judge.
+        The baseline, the mounting in question and its rival on the frames that judge: see `beside`.
     """
 
     best: int
@@ -204,10 +349,7 @@ class ChangeDraw(NamedTuple):
 
 
 def change_finding(
-    change: tuple[str, str, str],
-    draws: Sequence[ChangeDraw | str],
-    mountings: Candidates,
-    block: np.ndarray | None,
+    change: tuple[str, str, str], draws: Sequence[ChangeDraw | str], mountings: Candidates, judges: Judges
 ) -> Finding:
     """What one change does to the mounting in question; several draws of it are judged by their mean.
 
@@ -218,8 +360,7 @@ def change_finding(
     draws : sequence of ChangeDraw or str
         A text tells why the site does not allow the change.
     mountings : Candidates
-    block : ndarray of int, (f,), or None
-        Block of each frame that judges; None where the same frames chose the best mounting, whose luck no interval has.
+    judges : Judges
     """
     refused = [draw for draw in draws if isinstance(draw, str)]
     if refused:
@@ -227,22 +368,9 @@ def change_finding(
     if not all(draw.chooses for draw in draws):
         return Finding(*change, UNDECIDED, "does not choose: it is the same wherever the LiDAR hangs")
     heights, tilts = mountings.points[[draw.best for draw in draws]].T.tolist()
+    more = f"; best at {_range(heights, 2)} m, {_range(tilts, 0)} deg"
     numbers = {"best_height_m": heights, "best_tilt_deg": tilts}
-    numbers["vehicles_per_frame"] = float(np.mean([draw.judged.vehicles.mean() for draw in draws]))
-    shares = np.mean([draw.judged.detectable_share() for draw in draws], axis=0).tolist()
-    numbers["detectable_share"] = dict(zip(("baseline", "mounting", "best"), shares, strict=True))
-    by = np.arange(len(draws[0].judged.vehicles)) if block is None else block
-    of_blocks, vehicles = zip(*(draw.judged.blocks(by) for draw in draws), strict=True)
-    baseline, mounting, best = np.array(of_blocks).transpose(1, 0, 2)
-    found = share_lost(best - mounting, best - baseline, sum(vehicles) > 0)
-    if found is None:
-        text = "the mounting that it prefers is no better than the baseline on held-out frames"
-        return Finding(*change, UNDECIDED, text, numbers)
-    interval = None if block is None else found.interval_90
-    text = f"{lost(found.share, interval)}; best at {_range(heights, 2)} m, {_range(tilts, 0)} deg"
-    losses = ((best - mounting).sum(axis=1) / (best - baseline).sum(axis=1)).tolist()
-    numbers |= {"loss": found.share, "interval_90": interval and list(interval), "losses": losses}
-    return Finding(*change, by_loss(found.share, interval), text, numbers)
+    return judged_finding(change, [draw.judged for draw in draws], judges, more=more, numbers=numbers)
 
 
 def _range(values: Sequence[float], digits: int) -> str:
@@ -252,20 +380,31 @@ def _range(values: Sequence[float], digits: int) -> str:
 # --- an installer's errors --------------------------------------------------------------------------------------------
 
 
-def installation_findings(found: Mapping, tolerance: Tolerance) -> list[Finding]:
-    """A line for each coordinate that is off, and one for all; `found` has ``gain``, ``kept`` and ``limits``."""
-    if not found["gain"] > 0.0:
-        return [Finding(MOUNTING, "installation", "", UNDECIDED, "the mounting gains nothing over the baseline")]
-    lines = []
-    for key, limits in found["limits"].items():
-        (name, unit), (minus, plus) = COORDINATE_NAMES[key], (loss / found["gain"] for loss in limits)
-        text = f"{lost(minus)} where it is less, {lost(plus)} where it is more"
-        value = f"+/-{tolerance.half_widths[key]:g} {unit}"
-        lines.append(Finding(MOUNTING, name, value, by_loss(max(minus, plus)), text, {"limits": [minus, plus]}))
-    loss = 1.0 - found["kept"]
-    aim = "on average" if tolerance.aim == "mean" else "in nine of ten installations"
-    text = f"keeps {percent(found['kept'])} of its gain {aim} within {tolerance_text(asdict(tolerance))}"
-    return [*lines, Finding(MOUNTING, "all of these together", "", by_loss(loss), text, {"loss": loss})]
+def installation_findings(hung: Landscape, tolerance: Tolerance, judges: Judges) -> list[Finding]:
+    """A line for each coordinate that is off to either side, and one for all.
+
+    Parameters
+    ----------
+    hung : Landscape
+        Of the baseline, the mounting as planned, for each coordinate of the tolerance less and more of it by its
+        half-width, and errors that stand for all.
+    tolerance : Tolerance
+    judges : Judges
+    """
+    lines, row = [], RIVAL
+    for key, half_width in tolerance.half_widths.items():
+        name, unit = COORDINATE_NAMES[key]
+        for side in ("less", "more"):
+            change = (MOUNTING, name, f"{half_width:g} {unit} {side}")
+            lines.append(judged_finding(change, [beside(hung, row, FIRST)], judges, "as planned"))
+            row += 1
+    errors = np.arange(row, len(hung.objective))
+    if tolerance.aim == "low":  # the installation than which one in ten is worse
+        errors = errors[np.argsort(hung.per_vehicle()[errors])[[int(LOW_SHARE * len(errors))]]]
+    draws = [beside(hung, error, FIRST) for error in errors]
+    aim = "on average" if tolerance.aim == "mean" else "in nine of ten installations at most"
+    more = f"; {aim} within {tolerance_text(asdict(tolerance))}"
+    return [*lines, judged_finding((MOUNTING, "all of these together", ""), draws, judges, "as planned", more)]
 
 
 # --- views so full that PE-VGOP falls where it should rise, and other seeds of the search -----------------------------
@@ -276,36 +415,34 @@ PEAK = 1.0 / math.e  # of -P log2 P
 def saturation_finding(found: Mapping) -> Finding:
     """How much of what is seen lies where a denser view scores less: -P log2 P falls beyond P = 1/e.
 
-    `found`: how many views were ``seen`` at all, the ``share`` of them beyond that, and ``share_within_10_m``.
+    `found`: how many views were ``seen`` at all, the ``share`` of them beyond that, and ``share_within_10_m``. It is no
+    loss and has no verdict.
     """
     share, near, text = found["share"], found["share_within_10_m"], "no view of any vehicle has a return"
     if share is not None:
         text = f"{percent(share)} of {found['seen']:,} seen views"
         text += "" if near is None else f", {percent(near)} of those nearer than 10 m: there a denser view scores less"
-    return Finding(METRIC, "views beyond P = 1/e", "", by_loss(share), text, dict(found))
+    return Finding(METRIC, "views beyond P = 1/e", "", None, text, dict(found))
 
 
-def search_finding(answers: Sequence[dict], best: float, baseline: float, *, leans: bool = False) -> Finding:
-    """What the answers of several seeds leave to the best known mounting, and how far apart they lie.
+def search_finding(
+    answers: Sequence[dict], draws: Sequence[Landscape], judges: Judges, *, leans: bool = False
+) -> Finding:
+    """What the answers of several seeds lose to the best known mounting, and how far apart they lie.
 
     Parameters
     ----------
     answers : sequence of dict
-        Of each seed: ``mounting``, its value ``per_vehicle``, and ``evaluations``.
-    best, baseline : float
-        Objective per vehicle of the best grid point and of the baseline, on the frames of the search.
+        Of each seed: ``mounting`` and ``evaluations``.
+    draws : sequence of Landscape
+        Of each seed: the baseline, its answer, and what of all that is known is best on the frames of the search.
+    judges : Judges
     leans : bool
         Whether orientations are given as leans.
     """
-    what, value = "regret", f"{len(answers)} seeds of {answers[0]['evaluations']:,} evaluations"
-    values = np.array([answer["per_vehicle"] for answer in answers])
-    best = max(best, float(values.max()))
-    if not best > baseline:
-        return Finding(SEARCH, what, value, UNDECIDED, "no mounting is better than the baseline")
-    left = (best - values) / (best - baseline)
     key = "lean_deg" if leans else "tilt_x_deg"
     heights, tilts = ([answer["mounting"][name] for answer in answers] for name in ("height_m", key))
-    text = f"median {percent(float(np.median(left)))}, worst {percent(float(left.max()))} of the gain; "
-    text += f"height {_range(heights, 2)} m, {key.split('_')[0]} {_range(tilts, 1)} deg"
-    numbers = {"regrets": left.tolist(), "height_m": heights, key: tilts}
-    return Finding(SEARCH, what, value, by_loss(float(left.max())), text, numbers)
+    more = f"; height {_range(heights, 2)} m, {key.split('_')[0]} {_range(tilts, 1)} deg"
+    change = (SEARCH, "regret", f"{len(answers)} seeds of {answers[0]['evaluations']:,} evaluations")
+    numbers = {"height_m": heights, key: tilts}
+    return judged_finding(change, draws, judges, "the best known", more, numbers)

@@ -12,46 +12,48 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from ..metrics.catalogue import PE_VGOP, metric_named
+from ..metrics.catalogue import METRICS, PE_VGOP, metric_named
 from ..plugins import short_name
 from ..run.optimise import fresh_search
-from ..run.tolerance import losses_over_tolerance
+from ..run.tolerance import JUDGED_BASE, errors_from, installation_errors, installed
 from ..run.vehicle_table import vehicle_table
 from ..scene.mounting import Mounting
 from ..scene.settings import Tolerance
 from ..scene.site import Site
 from ..scoring.evaluation import site_evaluator
 from ..scoring.fidelity import with_fewer_frames
+from ..statistics import FEWEST_BLOCKS, block_sums
 from .candidates import BASELINE, FIRST, Candidates, grid_candidates
 from .driver import (
     AS_IT_IS,
     HELD_OUT,
     SEARCHED,
     Job,
-    Landscape,
     StudyFolder,
     Variation,
-    judging_split,
     split_of,
     study_head,
 )
 from .findings import (
-    GRID,
-    MOST_FRAGILE_LOSS,
-    MOST_STABLE_LOSS,
+    GAIN_LIMITS,
     PEAK,
+    SHARE_LIMITS,
     ChangeDraw,
+    Judges,
+    beside,
+    best_row,
     change_finding,
     chooses,
+    cross_fitted,
     gain_finding,
     installation_findings,
     optimum_finding,
     saturation_finding,
     search_finding,
 )
-from .variations import SECTIONS, TRAFFIC, metric_variations, sensor_variations, traffic_variations
+from .variations import MOUNTING, SECTIONS, TRAFFIC, metric_variations, sensor_variations, traffic_variations
 
-STABILITY_SCHEMA = 3  # of the stages and of the result
+STABILITY_SCHEMA = 4  # of the stages and of the result
 USUAL = Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=2.0, aim="mean")
 
 
@@ -99,7 +101,7 @@ QUICK_STABILITY = StabilityEffort(8, 8, heights=4, tilts=26, fine_tilts=51, seed
 def study_identity(site: Site, effort: StabilityEffort, mounting: Mounting | None) -> dict[str, object]:
     """What two runs of the study must share for the second to go on with the first's stages."""
     asked = {f"study {name}": value for name, value in asdict(effort).items()}
-    limits = {"study losses": [MOST_STABLE_LOSS, MOST_FRAGILE_LOSS], "study schema": STABILITY_SCHEMA}
+    limits = {"study losses": [*SHARE_LIMITS, *GAIN_LIMITS], "study schema": STABILITY_SCHEMA}
     return {**site.identity, **asked, **limits, "study mounting": None if mounting is None else mounting.as_table()}
 
 
@@ -121,27 +123,32 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
     dict
         As JSON holds it; the same whether a run was interrupted or not.
     """
-    scene, judging, seed = site.scenario, judging_split(site), site.scenario.search.seed
+    scene, judging, seed = site.scenario, _judging_split(site), site.scenario.search.seed
     whole = with_fewer_frames(site, effort.frames)
     few = with_fewer_frames(whole, effort.varied_frames)
-    judges, judged_block = split_of(site if judging == HELD_OUT else few, judging)
     answers = _answers(folder, whole, effort)
     reference = scene.mounting(answers[0]["mounting"]) if mounting is None else mounting
     tolerance = scene.objective.tolerance or USUAL
 
     fine = grid_candidates(scene, reference, effort.heights, effort.fine_tilts)
+    own = tuple((scene.mounting(answer["mounting"]),) for answer in answers)
     splits = tuple(dict.fromkeys((SEARCHED, judging)))
-    as_it_is = folder.landscapes(site, [Job(AS_IT_IS, fine.layouts, split) for split in splits], "the scene as it is")
-    held_out = as_it_is[1] if judging == HELD_OUT else None
+    jobs = [Job(AS_IT_IS, (*fine.layouts, *own), split) for split in splits]
+    as_it_is = folder.landscapes(site, jobs, "the scene as it is")
+    searched, judged = as_it_is[0], as_it_is[-1]
+    judges, judges_of_changes = _judges(site, judging), _judges(few, judging)
+    kept = FIRST if judging == HELD_OUT or mounting else cross_fitted(searched, judges.block)
     findings = [
-        gain_finding(held_out, site.plan.holdout_block, seed, metric_named(site.scoring.metric)),
-        optimum_finding(as_it_is[0], fine, site.plan.search_block, seed),
+        gain_finding(beside(judged, BASELINE, kept), judges),
+        optimum_finding(searched, judged, fine, site.plan.search_block, seed),
     ]
     if site.scoring.metric == PE_VGOP.name:  # other metrics have no such peak
         findings.append(saturation_finding(folder.stage("views", lambda: _views_beyond_the_peak(site, reference))))
 
-    hung = folder.stage("installation", lambda: _installation(folder, few, judging, reference, tolerance))
-    findings += installation_findings(hung, tolerance)
+    plan = (scene.baseline,), (reference,)
+    hung = Job(Variation(MOUNTING, "installation", ""), (*plan, *_off_plan(reference, tolerance)), judging)
+    (off,) = folder.landscapes(few, [hung], "installation errors")
+    findings += installation_findings(off, tolerance, judges_of_changes)
     coarse = grid_candidates(scene, reference, effort.heights, effort.tilts)
     varied = [
         replace(AS_IT_IS, section=TRAFFIC),
@@ -149,14 +156,14 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
         *traffic_variations(effort.draws),
         *sensor_variations(few, effort.draws),
     ]
-    for change, draws in _draws(folder, few, varied, coarse, judging).items():
-        findings.append(change_finding(change, draws, coarse, judged_block if judging == HELD_OUT else None))
-    looked_at = np.isin(site.plan.search, whole.plan.search)
-    searched = as_it_is[0].per_vehicle(looked_at)
-    best, baseline = float(searched[GRID:].max()), float(searched[BASELINE])
-    findings.append(search_finding(answers, best, baseline, leans=fine.leans))
+    for change, draws in _draws(folder, few, varied, coarse, judging, given=mounting is not None).items():
+        unit = metric_named(change[2] if change[2] in METRICS else site.scoring.metric)
+        findings.append(change_finding(change, draws, coarse, judges_of_changes._replace(metric=unit)))
+    best = best_row(searched, np.isin(site.plan.search, whole.plan.search))
+    rows = range(len(fine.layouts), len(fine.layouts) + len(own))
+    findings.append(search_finding(answers, [beside(judged, row, best) for row in rows], judges, leans=fine.leans))
     findings.sort(key=lambda finding: SECTIONS.index(finding.section))  # which keeps their order within a section
-    values = as_it_is[0].per_vehicle()
+    values = searched.per_vehicle()
     return {
         **study_head(site, STABILITY_SCHEMA, effort),
         "reading": scene.objective.reading,
@@ -164,8 +171,8 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
         "answered_frames": len(whole.search),
         "varied_frames": len(few.search),
         "judged_on": judging,
-        "judged_frames": len(judges),
-        "vehicles": int(as_it_is[0].vehicles.sum()),
+        "judged_frames": len(judges_of_changes.block),
+        "vehicles": int(searched.vehicles.sum()),
         "mounting": reference.as_table(),
         "baseline": scene.baseline.as_table(),
         "mounting_given": mounting is not None,
@@ -205,25 +212,48 @@ def _answers(folder: StudyFolder, site: Site, effort: StabilityEffort) -> list[d
     return [folder.stored(stage) for stage in stages.values()]
 
 
+def _judging_split(site: Site) -> str:
+    """The held-out frames; the searched ones where too little is held out for an interval."""
+    weights = block_sums(np.array([frame.counted_weight.sum() for frame in site.holdout]), site.plan.holdout_block)
+    return HELD_OUT if (weights > 0.0).sum() >= FEWEST_BLOCKS else SEARCHED
+
+
+def _judges(site: Site, judging: str) -> Judges:
+    frames, block = split_of(site, judging)
+    counted = np.concatenate([frame.vehicles.vehicle_id[frame.counted] for frame in frames])
+    return Judges(block, len(np.unique(counted)) / max(1, len(counted)), metric_named(site.scoring.metric))
+
+
 def _draws(
-    folder: StudyFolder, site: Site, variations: Sequence[Variation], mountings: Candidates, judging: str
+    folder: StudyFolder,
+    site: Site,
+    variations: Sequence[Variation],
+    mountings: Candidates,
+    judging: str,
+    *,
+    given: bool,
 ) -> dict[tuple[str, str, str], list[ChangeDraw | str]]:
-    """The best mounting of each variation, chosen on the searched frames and judged beside the one in question.
+    """The best mounting of each variation beside the one in question, on frames that did not choose it.
+
+    These are the held-out ones, or the searched ones with cross-fitting; then the mounting in question, unless it was
+    `given`, stands for what the scene as it is, the first of the variations, would choose without each block.
 
     By section, what and value, as several draws of one change share them; a text where the site allows no such change.
     """
     searched = folder.landscapes(site, [Job(one, mountings.layouts) for one in variations], "the scene varied")
     known = [(one, found) for one, found in zip(variations, searched, strict=True) if not isinstance(found, str)]
-    rows = [[BASELINE, FIRST, _best_of_grid(found)] for _, found in known]
+    rows = [best_row(found) for _, found in known]
     if judging == HELD_OUT:
-        every = mountings.layouts
-        jobs = [Job(one, tuple(every[row] for row in of), HELD_OUT) for (one, _), of in zip(known, rows, strict=True)]
+        first = mountings.layouts[: FIRST + 1]
+        jobs = [Job(one, (*first, mountings.layouts[row]), HELD_OUT) for (one, _), row in zip(known, rows, strict=True)]
         judged = folder.landscapes(site, jobs, "variations judged")
     else:
-        judged = [found.select(of) for (_, found), of in zip(known, rows, strict=True)]
+        block = site.plan.search_block
+        own = FIRST if given else cross_fitted(searched[0], block)
+        judged = [beside(found, own, cross_fitted(found, block)) for _, found in known]
     values = {
-        one: seen if isinstance(seen, str) else ChangeDraw(of[-1] - FIRST, chooses(found), seen)
-        for (one, found), of, seen in zip(known, rows, judged, strict=True)
+        one: seen if isinstance(seen, str) else ChangeDraw(row - FIRST, chooses(found), seen)
+        for (one, found), row, seen in zip(known, rows, judged, strict=True)
     }
     draws: dict[tuple[str, str, str], list[ChangeDraw | str]] = {}
     for one, found in zip(variations, searched, strict=True):
@@ -231,25 +261,12 @@ def _draws(
     return draws
 
 
-def _best_of_grid(landscape: Landscape) -> int:
-    """The row of the grid's best; the first of equals."""
-    return GRID + int(np.argmax(landscape.per_vehicle()[GRID:]))
-
-
-def _installation(
-    folder: StudyFolder, site: Site, judging: str, plan: Mounting, tolerance: Tolerance
-) -> dict[str, object]:
-    """The mounting off its plan, on the frames that judge: its gain, what errors keep of it and what each costs."""
-    block = split_of(site, judging)[1]
-    with (
-        folder.counting(1, "installation errors") as shown,
-        site_evaluator(site, site.search, site.holdout) as evaluator,
-    ):
-        judge = evaluator.held_out if judging == HELD_OUT else evaluator
-        planned, baseline = judge.totals([(plan,), (site.scenario.baseline,)]).per_vehicle().tolist()
-        losses = losses_over_tolerance(judge, (plan,), tolerance, block)
-        shown.advance(1)
-    return {"gain": planned - baseline, "kept": losses.kept(baseline), "limits": losses.limit_losses}
+def _off_plan(plan: Mounting, tolerance: Tolerance) -> list[tuple[Mounting]]:
+    """Mountings off the plan: each coordinate by minus and plus its half-width, then errors that stand for all."""
+    each = np.eye(len(tolerance.half_widths))
+    limits = errors_from(tolerance, np.stack([-each, each], axis=1).reshape(-1, len(each)))
+    errors = np.concatenate([limits, installation_errors(tolerance, JUDGED_BASE)])
+    return [(one,) for one in installed(plan, errors)]
 
 
 def _views_beyond_the_peak(site: Site, mounting: Mounting) -> dict:
