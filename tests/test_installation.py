@@ -14,9 +14,12 @@ from blender_lidar.scene.site import prepare
 from tests.small_scene import mounting, write_scene
 
 MOUNT = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0, "tilt_x_deg": 15.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
-BASE_SCORES = {"detectable_share": 0.5, "objective_per_vehicle": 0.5}
-HELD_OUT_BASE = {"detectable_share": 0.25, "objective_per_vehicle": 0.125}
-SCORES = {"detectable_share": 0.75, "objective_per_vehicle": 1.25}
+NO_INTERVAL = {"boxes": 40, "distinct_vehicles": 20} | dict.fromkeys(
+    ("detectable_share_interval_90", "detectable_share_gain_interval_90")
+)
+BASE_SCORES = NO_INTERVAL | {"detectable_share": 0.5, "objective_per_vehicle": 0.5}
+HELD_OUT_BASE = BASE_SCORES | {"detectable_share": 0.25, "objective_per_vehicle": 0.125}
+SCORES = NO_INTERVAL | {"detectable_share": 0.75, "objective_per_vehicle": 1.25, "detectable_share_gain": 0.25}
 
 
 @pytest.fixture
@@ -59,8 +62,8 @@ def test_height_place_and_scores_are_those_of_the_result(sheet):
     assert "x 1.50 m along the road, y 0.00 m across it" in text
     assert "2.00 m from the edge of the nearest lane, to the right of its traffic" in text
     assert "15.0 deg forward and down towards +y, left of the direction of travel" in text
-    assert "75.0 % of the vehicles are detectable instead of 50.0 % under the baseline" in text
-    assert "a vehicle gains 0.750 bits" in text
+    assert "75 % of the vehicles are detectable instead of 50 % under the baseline, 25 points more" in text
+    assert "the objective gains 0.75 bits per vehicle" in " ".join(text.split())
     assert "20 Hz" in text
     assert max(map(len, text.splitlines())) <= 120
 
@@ -122,11 +125,13 @@ def test_the_range_of_the_optimum_is_given_where_there_is_one(sheet):
 
 
 def test_what_to_expect_comes_from_frames_that_did_not_choose_the_mounting(sheet):
-    held_out = {"detectable_share": 0.7, "objective_per_vehicle": 1.0, "interval_90": [0.5, 1.25]}
+    held_out = SCORES | {"detectable_share": 0.7, "objective_per_vehicle": 1.0, "interval_90": [0.5, 1.25]}
+    held_out |= {"detectable_share_interval_90": [0.6, 0.8], "detectable_share_gain": 0.45}
     text = sheet(holdout=held_out)
     assert "held-out traffic" in text
-    assert "70.0 % of the vehicles are detectable instead of 25.0 % under the baseline" in text
-    assert "(90 % interval of the gain 0.500 to 1.250)" in " ".join(text.split())
+    text = " ".join(text.split())
+    assert "70 % of the vehicles are detectable (90 % interval 60 to 80) instead of 25 % under the baseline" in text
+    assert "the objective gains 0.9 bits per vehicle (0.5 to 1.2)" in text
     assert "Expected, on the traffic that was used to choose the mounting" in sheet()
 
 

@@ -87,9 +87,13 @@ def verb(capsys, *words: object) -> dict:
 
 
 def scores(result: Mapping) -> dict:
-    """What was found of a mounting, and of its baseline: all numbers that two runs must share."""
+    """What was found of a mounting, and of its baseline: all numbers that a search and an evaluation must share.
+
+    Frames that have chosen a mounting give no intervals, and those of a given one do.
+    """
     keys = ("objective", "objective_per_vehicle", "detectable_share", "holdout", "recordings", "vehicles", "frames")
-    return {key: result[key] for key in (*keys, "baseline") if key in result}
+    sides = {"found": result, "baseline": result["baseline"]}
+    return {name: {key: side[key] for key in keys if key in side} for name, side in sides.items()}
 
 
 def numbers(rows: Rows, *keys: str) -> list[tuple[float, ...]]:

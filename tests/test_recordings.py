@@ -183,7 +183,7 @@ def test_the_answer_tells_each_recording_and_which_is_seen_worst(tmp_path, capsy
     assert f"Recording {worst['name']} is seen worst: {worst['holdout']['objective_per_vehicle']:.4f}" in out
     words = " ".join(out.split())
     assert "The frames of a recording together count as its weight. The objective per vehicle is the weighted" in words
-    assert "and by their weights that is" in worth(result | {"metric": "detectable"})
+    assert "and the weighted share " in worth(result | {"metric": "detectable"})
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "morning.csv and evening.csv" in page
     assert "Each recording alone" in page

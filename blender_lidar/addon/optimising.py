@@ -26,6 +26,8 @@ from ..casting import BVH, resolve
 from ..commands.background import heard
 from ..compiled import within_blender
 from ..errors import InputError
+from ..metrics.catalogue import metric_named
+from ..report.summary import measured, percent
 from ..run.folder import RESULT
 from ..run.verdict import POINTS
 from ..scene.mounting import mounting_from
@@ -308,8 +310,10 @@ def found_lines(lidar: bpy.types.Object) -> list[str]:
     lines = [f"{place['height_m']:.2f} m, tilt {place['tilt_x_deg']:.1f}°"]
     if held is None:
         return [*lines, "Nothing was held out."]
-    lines.append(f"Held out {held['gain_over_baseline']:+.3f} {found['metric_unit']}")
-    return lines + ["90 %: {:+.3f} to {:+.3f}".format(*pair) for pair in [held["interval_90"]] if pair]
+    shares = [percent(scores) for scores in (held, found["baseline"]["holdout"])]
+    lines.append(f"Detectable {shares[0]}, baseline {shares[1]}; in brackets 90 %")
+    gain, within = measured(metric_named(found["metric"]), held["gain_over_baseline"], held["interval_90"], "+")
+    return [*lines, f"Gain {gain} {found['metric_unit']}" + (f" ({within})" if within else "")]
 
 
 class _NeedsFound:

@@ -114,7 +114,7 @@ def outcome_text(run: RunFolder, where: str) -> str:
     unit = f", in {metric.unit}" if metric.unit else ""
     words = definitions(result)
     meant = [f"Objective{unit}: {words['objective']}", f"Detectable: {words['detectable']}"]
-    tables = map(table_text, (*score_tables(result), *group_tables(run)))
+    tables = map(table_text, (*score_tables(result), *group_tables(result)))
     warnings = [*cautions(result), *map(as_sentence, (*result["notes"], *result["traffic_report"]["notes"]))]
     parts = [_filled([*warnings_text(result), answer(result)]), _filled(meant), *tables, where, _filled(warnings)]
     return "\n\n".join(part for part in parts if part)

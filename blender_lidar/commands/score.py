@@ -157,6 +157,6 @@ def _print(table, points, metrics):
         print(f"{metric.name}: {metric.amount(float(np.mean(table[_column(metric)])), 1)}{metric.per_vehicle}")
     number = len(table["points"])
     print(
-        f"{number} vehicle{'s' * (number != 1)}, {points} points: {table['entropy_bits'].mean():.4f} bits per vehicle, "
-        f"{100 * table['detectable'].mean():.1f} % detectable"
+        f"{number} vehicle{'s' * (number != 1)}, {points} points: {100 * table['detectable'].mean():.1f} % detectable, "
+        f"mean PE-VGOP {table['entropy_bits'].mean():.4f} bits"
     )

@@ -43,12 +43,13 @@ _ENOUGH = f"whether enough {_HIT} to reach the threshold; PE-VGOP breaks ties"
 _VIEWS = "sum of the views' occupancies"
 PE_VGOP = _of_vehicle("pe-vgop", "PE-VGOP", "bits", vehicle.view_entropy, f"how much {_HIT}")
 VIEW_COVERAGE = _of_points("view-coverage", "view coverage", "", vehicle.view_coverage, f"how much {_HIT}, from 0 to 1")
-_DETECTABLE = _of_vehicle(
+_ENOUGH_SEEN = _of_vehicle(
     "detectable", "detectable share", "", vehicle.detectable_share, _ENOUGH, 1, needs=[NEEDS_DETECTABLE]
 )
+DETECTABLE = replace(_ENOUGH_SEEN, of_share=True)
 _ALL = (
     PE_VGOP,
-    replace(_DETECTABLE, of_share=True),
+    DETECTABLE,
     VIEW_COVERAGE,
     _of_vehicle("sum-of-views", _VIEWS, "", vehicle.sum_of_views, f"what shares {_HIT}", 4),
     _of_vehicle("points", "number of returns", "points", vehicle.points, _BEAMS, 1),

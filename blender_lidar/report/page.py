@@ -22,6 +22,7 @@ from .html import Markup, element, image, joined, sheet_markup, table, terms
 from .summary import (
     answer,
     as_sentence,
+    boxes_text,
     conditions,
     definitions,
     frames_word,
@@ -56,7 +57,8 @@ def table_markup(content: TextTable, class_: str | None = None) -> Markup:
 
 def _heading_cell(text: str, columns: int) -> Markup:
     """A cell of a table's head, which is empty over a corner."""
-    return element("th", text, scope="col", colspan=columns if columns > 1 else None) if text else element("td")
+    across = columns if columns > 1 else None
+    return element("th", text, scope="col", colspan=across) if text else element("td", colspan=across)
 
 
 def _number(text: str) -> Markup:
@@ -232,10 +234,9 @@ def _heading(run: RunFolder):
         traffic = read_toml(scene)["traffic"]
         traffic = " and ".join(Path(one["path"]).name for one in (traffic if isinstance(traffic, list) else [traffic]))
     held = result["holdout"]
-    boxes = counted(result["vehicles"], "vehicle box")
-    frames = f"{boxes} in {counted(result['frames'], f'{frames_word(result)} frame')}"
+    frames = f"{boxes_text(result)} in {counted(result['frames'], f'{frames_word(result)} frame')}"
     if held:
-        frames += f", {held['vehicles']:,} in {counted(held['frames'], 'held-out one')}"
+        frames += f", {boxes_text(held)} in {counted(held['frames'], 'held-out one')}"
     figures = [element("div", element("dt", what), element("dd", figure)) for what, figure in key_figures(result)]
     return element(
         "header",
@@ -264,7 +265,8 @@ def _scores(run: RunFolder):
             "held-out frames": "later frames with other vehicles than the searched ones: the search did not use "
             "them, so they are an independent check.",
             "90 % interval": f"from resampled blocks of {result['block_s']:g} s, because frames close in time show the "
-            "same vehicles.",
+            "same vehicles; where nearly all blocks have 0 or 100 %, it also holds Clopper and Pearson's exact "
+            "interval, for which each different vehicle is one trial.",
         }
     return _section("Mounting and scores", *map(table_markup, score_tables(result)), terms(words.items()))
 
@@ -283,11 +285,12 @@ def _notes(run: RunFolder):
 
 
 def _where(run: RunFolder):
-    """Scores by distance and by lane, before and after, with their charts."""
+    """Scores by distance, lane, class and zone, before and after, with their charts."""
     after = mounting_name(run.result)
-    text = f"Objective per vehicle and detectable share, before (baseline) and after ({after}). "
-    text += "A vehicle counts once in every frame that shows it."
-    tables = [table_markup(table, class_="groups") for table in group_tables(run)]
+    text = f"Detectable share and objective per vehicle, before (baseline) and after ({after}). "
+    text += "A box is a vehicle in one frame; a vehicle counts once in every frame that shows it. "
+    text += "Read the intervals before the numbers."
+    tables = [table_markup(table, class_="groups") for table in group_tables(run.result)]
     drawn = any(run.file(name).exists() for name in CHARTS)
     charts = chart_figures(run, "by_distance.png", "blind_zones.png") if drawn else [element("p", _NO_CHARTS)]
     return _section("Where vehicles are seen", element("p", text), *tables, *charts)

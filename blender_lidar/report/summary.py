@@ -8,11 +8,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from ..metrics.catalogue import PE_VGOP, metric_named
+import numpy as np
+
+from ..metrics.catalogue import DETECTABLE, PE_VGOP, metric_named
 from ..metrics.metric import Metric
 from ..run.tolerance import tolerance_text
 from ..scene.mounting import ANGLES
 from ..sensors.model import model_names
+from ..statistics import FEW_BLOCKS, FEW_VEHICLES
 from ..traffic.vehicles import counted
 
 LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
@@ -238,9 +241,40 @@ def span(metric: Metric, ends: Sequence[float], more: int = 0, sign: str = "-") 
     return " to ".join(metric.number(end, more, sign) for end in ends)
 
 
+def decimals_of(ends: Sequence[float], most: int) -> int:
+    """Decimals that a 90 % interval allows a number: down to the first digit of its half-width, or to the second of 1x.
+
+    `most` is the number of decimals that an interval of no width leaves.
+    """
+    step = (ends[1] - ends[0]) / 4.0
+    return min(max(math.ceil(-math.log10(step)), 0), most) if step > 0.0 else most
+
+
+def measured(metric: Metric, value: float, ends: Sequence[float] | None, sign: str = "-") -> tuple[str, str]:
+    """A number and its 90 % interval as texts, with the digits that the interval allows; "" where there is none.
+
+    Without an interval a share has whole per cent, and any other value one digit less than a vehicle's.
+    """
+    if not ends:
+        return metric.number(value, -1, sign), ""
+    more = decimals_of(metric.shown(np.asarray(ends)), metric.decimals) - metric.decimals
+    return metric.number(value, more, sign), span(metric, ends, more, sign)
+
+
+def share_texts(scores: Mapping) -> tuple[str, str]:
+    """`measured` of the detectable share of scores in result.json, in per cent."""
+    return measured(DETECTABLE, scores["detectable_share"], scores.get("detectable_share_interval_90"))
+
+
 def percent(scores: Mapping) -> str:
-    """The detectable share in per cent."""
-    return f"{100 * scores['detectable_share']:.1f} %"
+    """The detectable share in per cent, with its 90 % interval where it has one."""
+    share, ends = share_texts(scores)
+    return f"{share} % ({ends})" if ends else f"{share} %"
+
+
+def boxes_text(scores: Mapping) -> str:
+    """How many boxes were judged, and of how many vehicles: each counts once in every frame that shows it."""
+    return f"{counted(scores['boxes'], 'box')} of {counted(scores['distinct_vehicles'], 'vehicle')}"
 
 
 def _gain(found, base):
@@ -248,29 +282,49 @@ def _gain(found, base):
     return found["objective_per_vehicle"] - base["objective_per_vehicle"]
 
 
+def _unsigned(metric, value, ends):
+    """A difference without its sign, and its interval turned with it, as `measured`."""
+    if value < 0.0:
+        value, ends = -value, ends and [-end for end in reversed(ends)]
+    number, within = measured(metric, value, ends)
+    return number, f" ({minus(within)})" if within else ""
+
+
 # --- What a run comes to, in one sentence and in key figures ----------------------------------------------------------
 
 
 def answer(result: Mapping) -> str:
     """The mounting and what it is worth against the baseline, with the interval where there is one."""
-    kept = kept_text(result)
-    *_, on = judged(result)
-    return f"{_what_to_do(result)}: on {on} {worth(result)}." + (f" {as_sentence(kept)}" if kept else "")
+    kept, (found, _, on) = kept_text(result), judged(result)
+    text = f"{_what_to_do(result)}: on {on} ({boxes_text(found)}) {worth(result)}."
+    return text + (f" {as_sentence(kept)}" if kept else "")
 
 
 def key_figures(result: Mapping) -> list[tuple[str, str]]:
     """The few figures that matter, each with what it is."""
     mount, (found, base, on), metric = result["deployment"], judged(result), metric_named(result["metric"])
-    gain = f"gain{metric.per_vehicle}"
-    if found.get("interval_90"):
-        gain += f" (90 %: {minus(span(metric, found['interval_90']))})"
-    figures = {
-        "height above the road": f"{mount['height_m']:.2f} m",
-        **_orientation(result),
-        f"detectable on {on}": f"{100 * base['detectable_share']:.1f} \N{RIGHTWARDS ARROW} {percent(found)}",
-        gain: minus(metric.difference(_gain(found, base), sign="+")),
-    }
-    return list(figures.items())
+    (after, within), (before, _) = share_texts(found), share_texts(base)
+    figures = [
+        ("height above the road", f"{mount['height_m']:.2f} m"),
+        *_orientation(result).items(),
+        (f"detectable on {on}{_in_brackets(within)}", f"{before} \N{RIGHTWARDS ARROW} {after} %"),
+    ]
+    gains = {("detectable vehicles", "points"): (DETECTABLE, "detectable_share_gain")}
+    if not metric.of_share or _is_weighted(result):
+        of = "objective, weighted" if metric.of_share else f"objective{metric.per_vehicle}"
+        gains[of, "points" if metric.of_share else metric.unit] = metric, None
+    for (what, unit), (of, key) in gains.items():
+        value, ends = (
+            (found[key], found[f"{key}_interval_90"]) if key else (_gain(found, base), found.get("interval_90"))
+        )
+        number, within = measured(of, value, ends, "+")
+        figures.append((f"gain in {what}{_in_brackets(within)}", minus(f"{number} {unit}".rstrip())))
+    return figures
+
+
+def _in_brackets(within):
+    """An interval behind what it belongs to; nothing for none."""
+    return f" (90 %: {minus(within)})" if within else ""
 
 
 def _orientation(result):
@@ -288,44 +342,69 @@ def sensor_text(result: Mapping) -> str:
 
 
 def _what_to_do(result):
-    """The sentence's beginning: hang it there, or that nothing tried is better than the baseline."""
+    """The sentence's beginning: hang it there, or what leaves that in doubt."""
     sensor, place = sensor_text(result), place_text(result["deployment"], leans=leans(result))
     if not was_searched(result):
         return f"The {sensor} {place}"
     if not better_than_baseline(result):
         return f"No mounting that was tried is better than the baseline; the best of them has the {sensor} {place}"
-    if _gain(*judged(result)[:2]) < 0.0:
-        return f"Held-out traffic does not confirm the search, whose best mounting has the {sensor} {place}"
-    if result.get("poles"):
-        return f"Hang the {sensor} on pole {result['poles'][0]['name']}, {place}"
-    return f"Hang the {sensor} {place}"
+    pole = f" on pole {result['poles'][0]['name']}," if result.get("poles") else ""
+    if doubt := _doubt(result):
+        return f"{doubt}; the best mounting found has the {sensor}{pole} {place}"
+    return f"Hang the {sensor}{pole} {place}"
+
+
+def _doubt(result):
+    """Why held-out traffic does not carry the advice to hang a LiDAR there; "" where it does."""
+    found, base, _ = judged(result)
+    ends = found.get("interval_90")
+    if result["holdout"] is None:
+        return "Nothing was held out, so this has no independent check"
+    if ends is None:
+        return "Too few blocks of time are held out for an interval"
+    if ends[1] < 0.0 or _gain(found, base) < 0.0:
+        return "Held-out traffic does not confirm the search"
+    if ends[0] <= 0.0:
+        return "Held-out traffic does not show that this gains anything (the interval of the gain holds 0)"
+    if found["blocks"] < FEW_BLOCKS:
+        return (
+            f"Held-out traffic is only {counted(found['blocks'], 'block')} of time, too few to be sure of an interval"
+        )
+    return ""
 
 
 def worth(result: Mapping) -> str:
-    """What the mounting is worth against the baseline where both are judged, on held-out frames if there are any."""
+    """What the mounting is worth against the baseline where both are judged, on held-out frames if there are any.
+
+    The detectable share comes first, then the objective; all with 90 % intervals, or why there are none.
+    """
     found, base, _ = judged(result)
-    gain, metric = _gain(found, base), metric_named(result["metric"])
-    amount = f"{'gains' if gain >= 0.0 else 'loses'} {metric.difference(abs(gain))}"
-    # A vehicle that gains metres or nats would sound like the reverse of what is meant where lower is better.
-    gained = f"a vehicle {amount}" if metric.higher_is_better else f"the objective {amount} per vehicle"
-    if metric.of_share:
-        weighted = "by their weights " if _is_weighted(result) else ""
-        gained = f"{weighted}that is {metric.number(abs(gain))} {'more' if gain >= 0.0 else 'fewer'} of 100 vehicles"
-    return (
-        f"{percent(found)} of the vehicles are detectable instead of {percent(base)} under the baseline, and "
-        f"{gained}{_interval(result, metric, gain)}"
-    )
+    (after, within), (before, base_within) = share_texts(found), share_texts(base)
+    metric, share = metric_named(result["metric"]), found["detectable_share_gain"]
+    within = f" (90 % interval {within})" if within else ""
+    base_within = f" ({base_within})" if base_within else ""
+    number, around = _unsigned(DETECTABLE, share, found["detectable_share_gain_interval_90"])
+    points = f"{number} points {'more' if share > 0.0 else 'fewer'}{around}" if share else f"no difference{around}"
+    text = f"{after} % of the vehicles are detectable{within} "
+    text += f"instead of {before} %{base_within} under the baseline, {points}"
+    if not metric.of_share or _is_weighted(result):
+        gain = _gain(found, base)
+        number, around = _unsigned(metric, gain, found.get("interval_90"))
+        of = "weighted share" if metric.of_share else "objective"
+        unit = "points" if metric.of_share else f"{metric.unit} per vehicle".lstrip()
+        text += f", and the {of} {'gains' if gain >= 0.0 else 'loses'} {number} {unit}{around}"
+    return text + _no_interval(result, found)
 
 
-def _interval(result, metric, gain):
-    """The 90 % interval of the gain and what doubt it leaves, or why there is none."""
-    if result["holdout"] is None:
-        return "; nothing was held out, so there is no independent check and no interval"
-    if result["holdout"]["interval_90"] is None:
-        return "; there are too few blocks of time for an interval"
-    low, high = result["holdout"]["interval_90"]
-    doubt = "" if low > 0.0 or high < 0.0 else f", so that there may be no {'gain' if gain >= 0.0 else 'loss'} at all"
-    return f" (90 % interval of the gain {span(metric, (low, high))}{doubt})"
+def _no_interval(result, found):
+    """Why the detectable share has no interval; "" where it has one."""
+    if found["detectable_share_interval_90"]:
+        return ""
+    if result["holdout"] is None and was_searched(result):
+        return "; there is no interval, as the same traffic has chosen the mounting"
+    if found["distinct_vehicles"] < FEW_VEHICLES:
+        return f"; shares have no interval, as there are fewer than {FEW_VEHICLES} different vehicles"
+    return "; there are too few blocks of time for intervals"
 
 
 def better_than_baseline(result: Mapping) -> bool:

@@ -1,4 +1,4 @@
-"""What a run found as tables of texts: mountings, poles and recordings side by side, vehicles by distance and lane.
+"""What a run found as tables of texts: mountings, poles and recordings side by side, and groups of vehicles.
 
 The terminal and the page print the same tables. `result` is everywhere the content of result.json.
 """
@@ -6,27 +6,15 @@ The terminal and the page print the same tables. `result` is everywhere the cont
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
-import numpy as np
-
-from ..metrics.catalogue import metric_named
-from ..optimise import vehicle_score
-from ..run.folder import RunFolder
+from ..metrics.catalogue import DETECTABLE, metric_named
 from ..run.tolerance import tolerance_text
-from ..run.vehicle_table import distance_bands, lanes, metric_values, vehicle_weight
 from ..scene.mounting import ANGLES, COORDINATE_NAMES, LEANS
-from .summary import (
-    aim_text,
-    frames_word,
-    leans,
-    mounting_name,
-    percent,
-    sharp_of,
-    span,
-)
+from ..traffic.vehicles import counted
+from .summary import aim_text, frames_word, leans, measured, mounting_name, percent, share_texts, sharp_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +68,8 @@ def _score_sections(result, compared, over=""):
     sections = [(f"{frames_word(result).capitalize()} frames{over}", _score_rows(result, compared, over))]
     if result["holdout"]:
         held = [scores["holdout"] for scores in compared]
-        sections.append((f"Held-out frames{over}", _score_rows(result, held, over)))
+        blocks = "" if over else f", {counted(held[-1]['blocks'], 'block')} of time"
+        sections.append((f"Held-out frames{blocks}{over}", _score_rows(result, held, over)))
     return sections
 
 
@@ -88,68 +77,63 @@ def _score_rows(result, compared, over):
     """Scores of each mounting, as far as there are any; the first is the baseline, which gains nothing over itself."""
     metric, others = metric_named(result["metric"]), compared[1:]
     rows = []
+    if not over:
+        rows += [(what, *(f"{each[key]:,}" for each in compared)) for what, key in _COUNTS.items()]
+    shares = map(share_texts, compared)
+    rows += _with_interval("detectable share [%]", shares)
+    if not over:
+        keys = "detectable_share_gain", "detectable_share_gain_interval_90"
+        gains = (measured(DETECTABLE, *(each[key] for key in keys), "+") for each in others)
+        rows += _with_interval("gain [percentage points]", [("", ""), *gains])
     if "objective" in compared[0] and not over and not metric.of_share:
         rows.append((metric.in_unit("objective"), *(metric.number(each["objective"], -2) for each in compared)))
-    values = (metric.number(each["objective_per_vehicle"], 1) for each in compared)
+    values = (metric.number(each["objective_per_vehicle"], -1) for each in compared)
     rows.append((metric.in_unit("objective per vehicle"), *values))
-    rows.append(("detectable share [%]", *(f"{100 * each['detectable_share']:.1f}" for each in compared)))
     if "gain_over_baseline" in compared[0]:
         gain = "gain over the baseline as planned" if over else f"gain{metric.per_vehicle}"
-        gain = f"{gain} [percentage points]" if metric.of_share else metric.in_unit(gain)
-        rows.append((gain, "", *(metric.number(each["gain_over_baseline"], 1, "+") for each in others)))
-    if compared[-1].get("interval_90"):
-        spans = (span(metric, each["interval_90"], 1, "+") for each in others)
-        rows.append((f"90 % interval, {result['holdout']['blocks']} blocks", "", *spans))
+        gain = f"{gain} [percentage points of the objective]" if metric.of_share else metric.in_unit(gain)
+        gains = (measured(metric, each["gain_over_baseline"], each["interval_90"], "+") for each in others)
+        rows += _with_interval(gain, [("", ""), *gains])
     if over:
         kept = (each["gain_kept"] for each in others)
         rows.append(("gain kept [%]", "", *("-" if share is None else f"{100 * share:.1f}" for share in kept)))
     return rows
 
 
-def group_tables(run: RunFolder) -> list[TextTable]:
-    """Objective per vehicle and detectable share by distance and, where lanes are known, by lane: see `group_table`."""
-    groups = {"distance": distance_bands} | ({"lane": lanes} if run.baseline["lane"].any() else {})
-    return [group_table(name, function, run) for name, function in groups.items()]
+_COUNTS = {"boxes (a vehicle in a frame)": "boxes", "different vehicles": "distinct_vehicles"}
 
 
-def group_table(name: str, groups: Callable[[Mapping], list[tuple[str, np.ndarray]]], run: RunFolder) -> TextTable:
-    """Objective per vehicle and detectable share of each group of vehicles, searched and held out, before and after.
+def _with_interval(what, measured_texts):
+    """A row of numbers, and one of their intervals where there are any."""
+    numbers, within = zip(*measured_texts, strict=True)
+    return [(what, *numbers)] + [(f"90 % interval, {what.split(' [')[0]}", *within)] * any(within)
 
-    Before is the baseline, after the run's mounting; "-" stands where a group has no vehicle or the objective is the
-    whole scene's.
 
-    Parameters
-    ----------
-    name : str
-        What vehicles are grouped by.
-    groups : function
-        Names groups of the rows of a vehicle table: `run.verdict.distance_bands` or `lanes`.
+def group_tables(result: Mapping) -> list[TextTable]:
+    """Detectable share and objective per vehicle by distance, lane, class and zone: `groups` of result.json as tables.
+
+    Before is the baseline, after the run's mounting, on the frames that judge it; "-" stands for a group that does not
+    count in the objective.
     """
-    result, tables = run.result, (run.baseline, run.optimised)
-    metric, loss = metric_named(result["metric"]), result["identity"]["[objective] loss"]
-    scores = [
-        vehicle_score(metric.merit(metric_values(table)), table["detectable"], loss, result["reading"])
-        for table in tables
-    ]
-    weight, names = vehicle_weight(run.baseline), {"search": frames_word(result), "holdout": "held out"}
-    splits = [split for split in names if (run.baseline["split"] == split).any()]
-    rows = []
-    for group, chosen in groups(run.optimised):
-        cells = []
-        for split in splits:
-            of = chosen & (run.baseline["split"] == split)
-            scored = weight[of].any()
-            cells += [metric.number(np.average(score[of], weights=weight[of])) if scored else "-" for score in scores]
-            cells += [f"{100 * table['detectable'][of].mean():.1f}" if of.any() else "-" for table in tables]
-        rows.append((group, *cells, f"{chosen.sum():,}"))
+    metric, on = metric_named(result["metric"]), "held-out" if result["holdout"] else frames_word(result)
     unit = "objective %" if metric.of_share else metric.unit or "objective"
-    measures = [(unit, 2), ("detectable %", 2)]
-    head = [
-        [("", 1), *((names[split], 4) for split in splits), ("all frames", 1)],
-        [("", 1), *measures * len(splits), ("", 1)],
-        [(f"by {name}", 1), *[("before", 1), ("after", 1)] * 2 * len(splits), ("vehicles", 1)],
-    ]
-    return TextTable(f"By {name}", head, [("", rows)])
+    measures = [("", 3), ("detectable [%]", 6), (unit, 2)]
+    columns = ["boxes", "vehicles", "before", "90 %", "after", "90 %", "points", "90 %", "before", "after"]
+    tables = []
+    for by in dict.fromkeys(group["by"] for group in result["groups"]):
+        rows = []
+        for group in result["groups"]:
+            if group["by"] != by:
+                continue
+            cells = [f"{group[key]:,}" for key in _COUNTS.values()]
+            for key, sign in (("before", "-"), ("after", "-"), ("gain", "+")):
+                cells += measured(DETECTABLE, group[key], group[f"{key}_interval_90"], sign)
+            means = group["objective_before"], group["objective_after"]
+            cells += ["-" if mean is None else metric.number(mean, -1) for mean in means]
+            rows.append((group["name"], *cells))
+        head = [measures, [(f"by {by}", 1), *((text, 1) for text in columns)]]
+        tables.append(TextTable(f"By {by}, on {on} frames", head, [("", rows)]))
+    return tables
 
 
 def poles_table(result: Mapping) -> TextTable | None:
@@ -161,11 +145,11 @@ def poles_table(result: Mapping) -> TextTable | None:
     rows = []
     for pole in poles:
         scores = pole["holdout"] or pole
-        cells = [f"{pole['height_on_pole_m']:.2f}", metric.number(scores["objective_per_vehicle"], 1), percent(scores)]
+        cells = [f"{pole['height_on_pole_m']:.2f}", metric.number(scores["objective_per_vehicle"], -1), percent(scores)]
         if held:
             ends, apart = scores["interval_90"], scores["differs"]
-            cells += [metric.number(scores["difference_to_best"], 1, "+") if pole["rank"] > 1 else ""]
-            cells += ["" if ends is None else span(metric, ends, 1, "+"), {None: "", True: "yes", False: "no"}[apart]]
+            difference, within = measured(metric, scores["difference_to_best"], ends, "+")
+            cells += [difference if pole["rank"] > 1 else "", within, {None: "", True: "yes", False: "no"}[apart]]
         cells += [
             "" if pole["cost"] is None else f"{pole['cost']:g}",
             {None: "", True: "yes", False: "no"}[pole["existing"]],
@@ -187,17 +171,21 @@ def recordings_table(result: Mapping) -> TextTable | None:
     for one, base in zip(recordings, result["baseline"]["recordings"], strict=True):
         scores, before = (one["holdout"], base["holdout"]) if held else (one, base)
         if scores is None:
-            rows.append((one["name"], f"{one['weight']:g}", "nothing held out", *[""] * (5 if held else 3)))
+            rows.append((one["name"], f"{one['weight']:g}", "nothing held out", *[""] * (9 if held else 3)))
             continue
-        cells = [metric.number(side["objective_per_vehicle"], 1) for side in (before, scores)]
-        cells += [f"{100 * side['detectable_share']:.1f}" for side in (before, scores)]
+        shares = [share_texts(side) for side in (before, scores)]
         if held:
-            cells.append(metric.number(scores["gain_over_baseline"], 1, "+"))
-            cells.append("" if scores["interval_90"] is None else span(metric, scores["interval_90"], 1, "+"))
+            gain = measured(DETECTABLE, *(scores[f"detectable_share_gain{end}"] for end in ("", "_interval_90")), "+")
+            shares.append(gain)
+        cells = [text for pair in shares for text in (pair if held else pair[:1])]
+        cells += [metric.number(side["objective_per_vehicle"], -1) for side in (before, scores)]
+        if held:
+            cells += measured(metric, scores["gain_over_baseline"], scores["interval_90"], "+")
         rows.append((one["name"], f"{one['weight']:g}", *cells))
-    measures = [(metric.in_unit("objective per vehicle"), 2), ("detectable [%]", 2)]
-    sides = [("before", 1), ("after", 1)] * 2 + [(text, 1) for text in ("gain", "90 %")] * held
-    head = [[("", 1), ("", 1), *measures, *[("", 1)] * (2 * held)], [("recording", 1), ("weight", 1), *sides]]
+    measures = [("detectable [%]", 6 if held else 2), (metric.in_unit("objective per vehicle"), 4 if held else 2)]
+    sides = ["before", "90 %", "after", "90 %", "points", "90 %", "before", "after", "gain", "90 %"]
+    sides = sides if held else ["before", "after"] * 2
+    head = [[("", 1), ("", 1), *measures], [(text, 1) for text in ("recording", "weight", *sides)]]
     return TextTable(
         f"Each recording alone, on {'held-out' if held else frames_word(result)} frames", head, [("", rows)]
     )
