@@ -7,7 +7,7 @@ mounting as planned, or the best known. A verdict comes from the 90 % interval o
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import NamedTuple
 
@@ -20,10 +20,12 @@ from ..scene.settings import Tolerance
 from ..statistics import FEW_BLOCKS, FEW_VEHICLES, FEWEST_BLOCKS, block_sums, interval_90, student_t_95
 from .candidates import BASELINE, FIRST, Candidates
 from .driver import Landscape, percent
-from .effects import Lost, share_lost
+from .effects import Lost, chosen_shares, searched_weights, share_lost
 from .variations import METRIC, MOUNTING, SEARCH, TRAFFIC
 
-RIVAL = FIRST + 1  # rows of what is judged: the baseline, the mounting in question, and its rival
+RIVAL = FIRST + 1  # rows of what is judged: the baseline, the mounting in question, its rival, and those as likely
+MOST_RIVALS = 5
+_LIKELY = 0.05  # of the resamples of the searched blocks prefer it
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------
 
@@ -31,14 +33,13 @@ STABLE, FRAGILE, FAILS = "stable", "fragile", "fails"
 UNDECIDED = "undecided"  # no interval, or one that does not tell
 VERDICTS = (STABLE, FRAGILE, FAILS, UNDECIDED)
 SHARE_LIMITS = (0.01, 0.05)  # of the detectable share: what is lost at most, if stable and if fragile
-GAIN_LIMITS = (0.05, 0.20)  # the same of the gain over the baseline in the metric's unit
 REAL_GAIN = 2.0  # half-widths of its 90 % interval
 VERDICT_RULE = (
     "Verdicts stand on the percentage points of detectable share that the mounting loses to its rival: stable, at most "
     f"{100 * SHARE_LIMITS[0]:g}; fragile, at most {100 * SHARE_LIMITS[1]:g}; fails, more; undecided, without a 90 % "
-    "interval or with one that reaches from stable to fails: either every mounting is equally good, or there is too "
-    f"little traffic. What is stable so, but loses more than {100 * GAIN_LIMITS[0]:g} % of the gain in the metric, is "
-    "fragile. No share is told of a gain that is less than twice its noise"
+    "interval or with one that reaches from stable to fails: there is too little traffic. The interval reaches up to "
+    "what is lost to any mounting that resampled traffic may prefer. Losses in the metric stand beside; no share is "
+    "told of a gain that is less than twice its noise"
 )
 
 
@@ -68,21 +69,12 @@ class Finding:
     numbers: dict = field(default_factory=dict)
 
 
-def by_loss(loss: float, interval: Sequence[float] | None, limits: Sequence[float] = SHARE_LIMITS) -> str:
+def by_loss(loss: float, interval: Sequence[float] | None) -> str:
     """The verdict on a loss with its 90 % interval: undecided without one, or where it reaches from stable to fails."""
-    most_stable, most_fragile = limits
+    most_stable, most_fragile = SHARE_LIMITS
     if interval is None or interval[0] <= most_stable < most_fragile < interval[1]:
         return UNDECIDED
     return STABLE if loss <= most_stable else FRAGILE if loss <= most_fragile else FAILS
-
-
-def by_both(share: Lost, of_gain: Lost | None) -> str:
-    """The verdict on the loss of detectable share; what is stable so may be fragile by the loss of a real gain."""
-    verdict = by_loss(share.share, share.interval_90)
-    if verdict != STABLE or of_gain is None:
-        return verdict
-    by_gain = by_loss(of_gain.share, of_gain.interval_90, GAIN_LIMITS)
-    return FRAGILE if by_gain == FAILS else by_gain
 
 
 def worst(verdicts: Sequence[str | None]) -> str:
@@ -140,17 +132,32 @@ class Losses(NamedTuple):
 
 
 def losses_of(draws: Sequence[Landscape], judges: Judges) -> Losses:
-    """What the mounting loses to its rival, a mean over draws of a change; three rows of each draw: see `RIVAL`."""
+    """What the mounting loses to its rival, a mean over draws of a change; rows of each draw as of `RIVAL`.
+
+    The rival is the best on the frames that choose, and another may be the best on all traffic: intervals reach up to
+    what is lost to any of those as likely.
+    """
     totals = [(one.objective, one.detectable, one.weight, one.vehicles) for one in draws]
     parts = zip(*([block_sums(each, judges.block) for each in one] for one in totals), strict=True)
     objective, noticed, weight, vehicles = map(np.array, parts)
-    (baseline, own, rival), filled = objective.transpose(1, 0, 2), vehicles.sum(axis=0) > 0
+    (baseline, own, *rivals), filled = objective.transpose(1, 0, 2), vehicles.sum(axis=0) > 0
+    rival = rivals[0]
     gain, of_gain = share_lost(rival - baseline, weight, filled), None
     if gain.interval_90 is not None and gain.share >= REAL_GAIN * (gain.interval_90[1] - gain.share):
         of_gain = share_lost(rival - own, rival - baseline, filled)
-    share = share_lost(noticed[:, RIVAL] - noticed[:, FIRST], vehicles, filled)
     distinct = judges.distinct * vehicles.sum() / len(draws)
-    return Losses(of_vehicles(share, distinct), share_lost(rival - own, weight, filled), gain, of_gain)
+    _, seen, *by_rivals = noticed.transpose(1, 0, 2)
+    share = _to_any(of_vehicles(share_lost(each - seen, vehicles, filled), distinct) for each in by_rivals)
+    return Losses(share, _to_any(share_lost(each - own, weight, filled) for each in rivals), gain, of_gain)
+
+
+def _to_any(losses: Iterable[Lost]) -> Lost:
+    """The loss to the first rival, with an interval that reaches up to the highest that any allows."""
+    first, *others = losses
+    if first.interval_90 is None:
+        return first
+    low, *highest = first.interval_90[0], first.interval_90[1], *(one.interval_90[1] for one in others)
+    return first._replace(interval_90=(low, max(highest)))
 
 
 def of_vehicles(share: Lost, distinct: float) -> Lost:
@@ -214,11 +221,11 @@ def judged_finding(
         Further ones.
     """
     losses = losses_of(draws, judges)
-    baseline, own, best = np.mean([one.detectable_share() for one in draws], axis=0).tolist()
+    baseline, own, best, *_ = np.mean([one.detectable_share() for one in draws], axis=0).tolist()
     text = f"{percent(own)} detectable, {rival} {percent(best)}: {losses_text(losses, judges.metric)}{more}"
     told = {**numbers, "vehicles_per_frame": float(np.mean([one.vehicles.mean() for one in draws]))}
     told["detectable_share"] = {"baseline": baseline, "mounting": own, "best": best}
-    return Finding(*change, by_both(losses.share, losses.of_gain), text, told | losses.numbers)
+    return Finding(*change, by_loss(*losses.share[:2]), text, told | losses.numbers)
 
 
 # --- rivals -----------------------------------------------------------------------------------------------------------
@@ -248,10 +255,22 @@ def cross_fitted(landscape: Landscape, block: np.ndarray) -> np.ndarray:
     return FIRST + np.argmax(others, axis=0)[np.unique(block, return_inverse=True)[1]]
 
 
-def beside(landscape: Landscape, own: int | np.ndarray, rival: int | np.ndarray) -> Landscape:
-    """The baseline, the mounting in question and its rival, given by their rows: one for all frames, or (f,)."""
+def likely_rivals(landscape: Landscape, block: np.ndarray, seed: int) -> list[int]:
+    """The row of the best mounting and of those that resampled blocks of time may prefer, `MOST_RIVALS` in all.
+
+    Each of them is the best in 5 % of the resamples or more; with fewer the best is repeated. `block` (f,) are the
+    blocks of the frames, `seed` resamples them.
+    """
+    best, often = best_row(landscape), chosen_shares(landscape, searched_weights(block, seed))
+    rows = [best] + [FIRST + row for row in np.argsort(-often, kind="stable").tolist() if often[row] >= _LIKELY]
+    rows = list(dict.fromkeys(rows))
+    return (rows + [best] * MOST_RIVALS)[:MOST_RIVALS]
+
+
+def beside(landscape: Landscape, own: int | np.ndarray, *rivals: int | np.ndarray) -> Landscape:
+    """The baseline, the mounting in question and its rivals, given by their rows: one for all frames, or (f,)."""
     frames = np.arange(len(landscape.vehicles))
-    rows = np.stack([np.broadcast_to(row, frames.shape) for row in (BASELINE, own, rival)])
+    rows = np.stack([np.broadcast_to(row, frames.shape) for row in (BASELINE, own, *rivals)])
     picked = landscape.objective[rows, frames], landscape.detectable[rows, frames]
     return Landscape(picked[0], landscape.vehicles, landscape.weight, picked[1])
 
@@ -340,7 +359,7 @@ class ChangeDraw(NamedTuple):
     chooses : bool
         Whether the objective prefers any candidate there.
     judged : Landscape
-        The baseline, the mounting in question and its rival on the frames that judge: see `beside`.
+        The baseline, the mounting in question and its rivals on the frames that judge: see `beside`.
     """
 
     best: int

@@ -35,8 +35,8 @@ from .driver import (
     study_head,
 )
 from .findings import (
-    GAIN_LIMITS,
     PEAK,
+    RIVAL,
     SHARE_LIMITS,
     ChangeDraw,
     Judges,
@@ -47,6 +47,7 @@ from .findings import (
     cross_fitted,
     gain_finding,
     installation_findings,
+    likely_rivals,
     optimum_finding,
     saturation_finding,
     search_finding,
@@ -101,7 +102,7 @@ QUICK_STABILITY = StabilityEffort(8, 8, heights=4, tilts=26, fine_tilts=51, seed
 def study_identity(site: Site, effort: StabilityEffort, mounting: Mounting | None) -> dict[str, object]:
     """What two runs of the study must share for the second to go on with the first's stages."""
     asked = {f"study {name}": value for name, value in asdict(effort).items()}
-    limits = {"study losses": [*SHARE_LIMITS, *GAIN_LIMITS], "study schema": STABILITY_SCHEMA}
+    limits = {"study losses": [*SHARE_LIMITS], "study schema": STABILITY_SCHEMA}
     return {**site.identity, **asked, **limits, "study mounting": None if mounting is None else mounting.as_table()}
 
 
@@ -242,18 +243,30 @@ def _draws(
     """
     searched = folder.landscapes(site, [Job(one, mountings.layouts) for one in variations], "the scene varied")
     known = [(one, found) for one, found in zip(variations, searched, strict=True) if not isinstance(found, str)]
-    rows = [best_row(found) for _, found in known]
+    block = site.plan.search_block
+    rivals = [likely_rivals(found, block, site.scenario.search.seed) for _, found in known]
     if judging == HELD_OUT:
         first = mountings.layouts[: FIRST + 1]
-        jobs = [Job(one, (*first, mountings.layouts[row]), HELD_OUT) for (one, _), row in zip(known, rows, strict=True)]
-        judged = folder.landscapes(site, jobs, "variations judged")
+        distinct = [tuple(dict.fromkeys(rows)) for rows in rivals]
+        jobs = [
+            Job(one, (*first, *(mountings.layouts[row] for row in rows)), HELD_OUT)
+            for (one, _), rows in zip(known, distinct, strict=True)
+        ]
+        judged = [
+            seen if isinstance(seen, str) else beside(seen, FIRST, *(RIVAL + own.index(row) for row in rows))
+            for seen, own, rows in zip(
+                folder.landscapes(site, jobs, "variations judged"), distinct, rivals, strict=True
+            )
+        ]
     else:
-        block = site.plan.search_block
         own = FIRST if given else cross_fitted(searched[0], block)
-        judged = [beside(found, own, cross_fitted(found, block)) for _, found in known]
+        judged = [
+            beside(found, own, cross_fitted(found, block), *rows[1:])
+            for (_, found), rows in zip(known, rivals, strict=True)
+        ]
     values = {
-        one: seen if isinstance(seen, str) else ChangeDraw(row - FIRST, chooses(found), seen)
-        for (one, found), row, seen in zip(known, rows, judged, strict=True)
+        one: seen if isinstance(seen, str) else ChangeDraw(rows[0] - FIRST, chooses(found), seen)
+        for (one, found), rows, seen in zip(known, rivals, judged, strict=True)
     }
     draws: dict[tuple[str, str, str], list[ChangeDraw | str]] = {}
     for one, found in zip(variations, searched, strict=True):
