@@ -90,7 +90,8 @@ def check_an_exported_run_is_that_of_evaluate():
     assert command_line(words) == 0
     assert {path.name for path in out.iterdir()} <= {path.name for path in line.iterdir()}
     one, other = (without_times(json.loads((folder / "result.json").read_text())) for folder in (out, line))
-    assert one.pop("scene") != other.pop("scene")  # what it is called
+    for name in ("scene", "site"):
+        assert one.pop(name) != other.pop(name)  # what it is called
     for result in (one, other):  # where a scene would search, the panel says where the LiDAR hangs
         result["identity"] = {key: value for key, value in result["identity"].items() if "[deployment]" not in key}
     for key in other:
@@ -109,7 +110,8 @@ def check_an_optimisation_is_that_of_the_command_line():
     assert command_line(["optimise", str(FOLDER / "scene" / "scene.toml"), "--out", str(line)]) == 0
     folders = Path(optimising.found_of(lidar)["folder"]), line
     one, other = (without_times(json.loads((folder / "result.json").read_text())) for folder in folders)
-    assert one.pop("scene") != other.pop("scene")  # what it is called
+    for name in ("scene", "site"):
+        assert one.pop(name) != other.pop(name)  # what it is called
     assert_alike(one, other)
     before = coordinates_of(lidar)
     assert bpy.ops.lidar.apply() == {"FINISHED"}

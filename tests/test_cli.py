@@ -172,7 +172,7 @@ def test_a_stream_that_is_closed_is_no_reason_to_fail(closed):
 
 def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     out, err = done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
-    described, message, meant, *tables, where, notes = out.rstrip().split("\n\n")
+    described, message, assumed, meant, *tables, where, notes = out.rstrip().split("\n\n")
     assert [line.split()[0] for line in described.splitlines()] == [
         "Sensor",
         "Traffic",
@@ -181,6 +181,7 @@ def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
         "Casting",
     ]
     assert " ".join(message.split()) == answer(json.loads(Path("run/result.json").read_text()))
+    assert " ".join(assumed.split()).startswith("In the recording's own coordinates (x and y of the table) the mast ")
     assert [line.split()[0] for line in meant.splitlines() if line[0].isupper()] == ["Objective,", "Detectable:"]
     assert tables[0].startswith("Mounting ")
     assert where.startswith("Results in run: ")

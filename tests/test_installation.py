@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.report.installation import installation_text
+from blender_lidar.scene.directions import pointing
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from tests.small_scene import mounting, write_scene
@@ -29,6 +30,7 @@ def sheet(tmp_path):
         return installation_text(
             site,
             {
+                "site": "crossing",
                 "sensor": "RS-16",
                 "search": "hardened",
                 "metric": "pe-vgop",
@@ -39,6 +41,10 @@ def sheet(tmp_path):
                 "holdout": holdout,
                 "baseline": {**BASE_SCORES, "holdout": holdout and HELD_OUT_BASE},
                 "map": score_map,
+                "pointing": pointing(site, site.scenario.mounting(MOUNT | mount)),
+                "assumptions": ["Heights are guessed"],
+                "notes": ["a note on frames"],
+                "traffic_report": {"notes": []},
             },
         )
 
@@ -57,11 +63,13 @@ def number_in(text, pattern):
 
 def test_height_place_and_scores_are_those_of_the_result(sheet):
     text = sheet(x_m=1.5)
-    assert text.startswith("Installation of one RS-16 LiDAR\n")
+    assert text.startswith("Installation of one RS-16 LiDAR: crossing\n")
     assert "4.00 m from the road surface" in text
     assert "x 1.50 m along the road, y 0.00 m across it" in text
     assert "2.00 m from the edge of the nearest lane, to the right of its traffic" in text
-    assert "15.0 deg forward and down towards +y, left of the direction of travel" in text
+    assert "15.0 deg down towards the road, bearing 0 deg" in text
+    assert "x 1.50 m, y 0.00 m in the recording's coordinates (x and y of the table)" in text
+    assert "- assumed: Heights are guessed.\n- A note on frames.\n" in text
     assert "75 % of the vehicles are detectable instead of 50 % under the baseline, 25 points more" in text
     assert "the objective gains 0.75 bits per vehicle" in " ".join(text.split())
     assert "20 Hz" in text
@@ -115,7 +123,12 @@ def test_the_target_on_a_crown_stands_on_its_surface(sheet):
 def test_the_target_stands_where_the_lowest_ring_meets_the_ground(sheet):
     expected = 4.0 / math.tan(math.radians(15.0 + 15.0))
     assert number_in(sheet(), r"meets the ground ([\d.]+) m from the pole") == pytest.approx(expected, abs=0.051)
-    assert "the lowest ring does not meet the ground" in sheet(tilt_x_deg=-20.0)
+    assert number_in(
+        sheet(tilt_x_deg=-15.0), r"At 180 deg (?:counter-)?clockwise .*\s.* meets the ground ([\d.]+)"
+    ) == pytest.approx(expected, abs=0.051)
+    assert number_in(sheet(yaw_deg=40.0), r"At zero azimuth, .* meets the ground ([\d.]+)") == pytest.approx(
+        expected, abs=0.051
+    )
 
 
 def test_the_range_of_the_optimum_is_given_where_there_is_one(sheet):
@@ -139,13 +152,17 @@ def test_what_to_expect_comes_from_frames_that_did_not_choose_the_mounting(sheet
     ("tilts", "words"),
     [
         ({"tilt_x_deg": 0.0}, "stands upright"),
-        ({"tilt_x_deg": 0.0, "tilt_y_deg": -10.0}, "10.0 deg forward and down towards ahead"),
-        ({"yaw_deg": -90.0}, "down towards ahead"),
-        ({"yaw_deg": 180.0}, "down towards -y"),
-        ({"yaw_deg": 30.0}, "down towards +y, left of the direction of travel, 30 deg counter-clockwise of it"),
+        ({"tilt_x_deg": -15.0}, "15.0 deg down away from the road, bearing 180 deg"),
+        (
+            {"tilt_x_deg": 0.0, "tilt_y_deg": -10.0},
+            "10.0 deg down along the nearest lane, with its traffic, bearing 90",
+        ),
+        ({"yaw_deg": -90.0}, "down along the nearest lane, with its traffic"),
+        ({"yaw_deg": 180.0}, "down away from the road"),
+        ({"yaw_deg": 30.0}, "down towards the road, bearing 330 deg"),
     ],
 )
-def test_the_lean_is_given_in_the_road_frame_whatever_the_yaw(sheet, tilts, words):
+def test_the_lean_is_told_by_what_it_points_at_whatever_the_yaw(sheet, tilts, words):
     assert words in sheet(**tilts)
 
 
@@ -169,6 +186,7 @@ def test_the_sheet_says_where_zero_azimuth_and_the_cable_opposite_it_face(sheet,
     text = " ".join(sheet(yaw_deg=yaw).split())
     assert f"zero azimuth faces {faces}" in text
     assert f"(see the drawing), faces {behind}" in text
+    assert f"bearing {(360.0 - yaw) % 360.0:.0f} deg; a cable outlet" in text
 
 
 def test_the_sheet_names_the_region_that_the_mounting_was_planned_for(sheet):

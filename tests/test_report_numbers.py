@@ -123,7 +123,8 @@ def test_the_answer_gives_mounting_shares_gains_and_intervals_of_the_held_out_fr
     held["objective_per_vehicle"] = 0.66
     said, place = answer(result), result["deployment"]
     assert said == (
-        f"Hang the RS-16 {place['height_m']:.2f} m above the road, tilted {place['tilt_x_deg']:.1f}° across it: on "
+        f"Hang the RS-16 {place['height_m']:.2f} m above the road, tilted {place['tilt_x_deg']:.1f}° down towards "
+        "the road: on "
         "held-out traffic (40 boxes of 12 vehicles) 88 % of the vehicles are detectable (90 % interval 83 to 93) "
         "instead of 65 % (59 to 71) under the baseline, 23 points more (19 to 28), and the objective gains 0.16 bits "
         "per vehicle (0.01 to 0.31)."
@@ -169,7 +170,7 @@ def test_the_answer_hides_no_doubt(stored_runs):
     assert whole.endswith("there is no interval, as the same traffic has chosen the mounting.")
     given = answer(result_of(RunFolder(stored_runs / "given")))
     assert given.startswith("The RS-16 4.00")
-    assert "tilted -3.0° along it, turned 5.0°" in given
+    assert "tilted 3.0° down along the nearest lane, with its traffic, turned 5.0°" in given
 
 
 def test_a_sensor_of_ones_own_is_named_as_a_name(stored_runs):

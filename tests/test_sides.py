@@ -252,17 +252,33 @@ def test_sides_that_contradict_the_road_are_refused(text, words, tmp_path):
 @pytest.mark.parametrize(
     ("deployment", "said", "sheet"),
     [
-        ({"side": "left"}, "tilted 15.0° across it, facing -y", "faces -y, right of the direction of travel on the r"),
-        ({"side": "median"}, "tilted 15.0° across it, at x", "in the median, 2.50 m from the edge of the nearest lane"),
-        ({"side": "gantry", "height_m": [5.0, 8.0]}, "tilted 15.0° across it, at x", "over a lane, 0.00 m from its "),
-        ({"facing_deg": 45.0}, "towards where the mast faces, facing 45° from +x", "45 deg counter-clockwise of it"),
+        (
+            {"side": "left"},
+            "tilted 15.0° down towards the middle of the region, facing -y",
+            "faces -y, right of the direction of travel on the r",
+        ),
+        (
+            {"side": "median"},
+            "tilted 15.0° down to the left of the nearest lane's traffic, at x",
+            "in the median, 2.50 m from the edge of the nearest lane",
+        ),
+        (
+            {"side": "gantry", "height_m": [5.0, 8.0]},
+            "tilted 15.0° down towards the middle of the region, at x",
+            "over a lane, 0.00 m from its ",
+        ),
+        (
+            {"facing_deg": 45.0},
+            "tilted 15.0° down towards the road, facing 45° from +x",
+            "45 deg counter-clockwise of it",
+        ),
     ],
 )
 def test_words_of_a_mounting_are_true_on_every_side(deployment, said, sheet, tmp_path, capsys, monkeypatch):
     without_charts(monkeypatch)
     path, out = scene(tmp_path, deployment=deployment), tmp_path / "run"
     message, _ = done(capsys, "evaluate", path, "--height", 6, "--tilt-x", 15, "--out", out)
-    assert said in " ".join(message.split())
+    assert said in " ".join(message.split()), message
     assert sheet in " ".join((out / "installation.txt").read_text(encoding="utf-8").split())
     direct = [word for key, value in deployment.items() if key == "facing_deg" for word in ("--facing", value)]
     plain = scene(tmp_path, deployment={key: value for key, value in deployment.items() if key != "facing_deg"})

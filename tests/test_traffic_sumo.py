@@ -150,7 +150,7 @@ def test_columns_that_may_be_missing_are_not_missed(tmp_path):
     recording = read_traffic(path)
     assert set(recording.lane) == {0}
     np.testing.assert_array_equal(recording.centre_m, read_traffic(write(tmp_path, samples.driving())).centre_m)
-    assert any("a passenger car's for no type" in note for note in recording.report.notes)
+    assert any("a passenger car's for no type" in text for text in recording.report.assumed)
 
 
 # --- numbers ----------------------------------------------------------------------------------------------------------
@@ -276,9 +276,9 @@ def test_without_a_file_of_types_a_class_name_tells_the_size_and_anything_else_i
     recording = read_traffic(write(tmp_path, rows))
     assert [CLASSES[index] for index in recording.class_index] == ["bus", "truck", *["car"] * 5]
     assert recording.size_m[:, 0].tolist() == [12.0, 7.1, *[5.0] * 5]
-    assert recording.report.notes[-1] == (
-        "no vehicle_types: sizes are SUMO's defaults for the type's vehicle class, "
-        "a passenger car's for my_fast_car, lorry, x and 1 more"
+    assert recording.report.assumed == (
+        "Sizes: without vehicle_types SUMO's defaults for the type's vehicle class, "
+        "a passenger car's for my_fast_car, lorry, x and 1 more",
     )
 
 

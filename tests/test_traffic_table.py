@@ -83,7 +83,7 @@ def test_times_come_from_the_column_or_the_step_or_are_assumed_aloud(tmp_path):
     np.testing.assert_allclose(read_table(plain, time_step_s=0.04).frame_time_s, [0.4, 0.8])
     assumed = read_table(plain)
     np.testing.assert_allclose(assumed.frame_time_s, [1.0, 2.0])
-    assert "0.1 s per frame is assumed" in assumed.report.notes[0]
+    assert assumed.report.assumed == ("Time: 0.1 s from frame to frame, as there is neither time_s nor time_step_s",)
 
 
 def test_repeated_rows_are_dropped_and_counted(tmp_path):

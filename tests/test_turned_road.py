@@ -121,5 +121,8 @@ def test_an_installer_reads_which_way_the_mast_faces_from_the_road(sites):
     for site in sites:
         (mounting,) = site.scenario.deployment.spaces[0].layout([4.0])
         ahead = site.scenario.road_map.direction(mounting.xy)
-        said.append([_bearing(axis, ahead, "travel") for axis in (mounting.mast.axes[1], mounting.mast.axes[0])])
-    assert said == [["+y, left of travel", "ahead, in travel"], ["-x, left of travel", "ahead, in travel"]]
+        said.append([_bearing(site, axis, ahead, "travel") for axis in (mounting.mast.axes[1], mounting.mast.axes[0])])
+    assert said == [
+        ["+y, left of travel, bearing 0 deg", "ahead, in travel, bearing 90 deg"],
+        ["-x, left of travel, bearing 0 deg", "ahead, in travel, bearing 90 deg"],
+    ]

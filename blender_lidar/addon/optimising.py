@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
@@ -214,7 +215,7 @@ def begin(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, lidar: bpy.types.O
 
 def keep_result(lidar: bpy.types.Object, job: Optimisation) -> None:
     """Keep with a LiDAR what its optimisation has found."""
-    found = {key: job.result[key] for key in ("deployment", "holdout", "metric_unit")}
+    found = {"deployment": job.result["deployment"], "lines": result_lines(job.result)}
     found |= {"before": properties.mounting_of(lidar).as_table(), "folder": job.keep(lidar.name)}
     lidar.lidar.found = json.dumps(found)
 
@@ -304,16 +305,19 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
 
 
 def found_lines(lidar: bpy.types.Object) -> list[str]:
-    """What an optimisation has found, and what a vehicle of the held-out traffic gains over the baseline."""
-    found = found_of(lidar)
-    place, held = found["deployment"], found["holdout"]
+    """What an optimisation has found: see `result_lines`."""
+    return found_of(lidar)["lines"]
+
+
+def result_lines(result: Mapping) -> list[str]:
+    """The mounting of a result.json, and what is detectable and gained on the held-out traffic, in short lines."""
+    place, held, metric = result["deployment"], result["holdout"], metric_named(result["metric"])
     lines = [f"{place['height_m']:.2f} m, tilt {place['tilt_x_deg']:.1f}°"]
     if held is None:
         return [*lines, "Nothing was held out."]
-    shares = [percent(scores) for scores in (held, found["baseline"]["holdout"])]
-    lines.append(f"Detectable {shares[0]}, baseline {shares[1]}; in brackets 90 %")
-    gain, within = measured(metric_named(found["metric"]), held["gain_over_baseline"], held["interval_90"], "+")
-    return [*lines, f"Gain {gain} {found['metric_unit']}" + (f" ({within})" if within else "")]
+    gain, within = measured(metric, held["gain_over_baseline"], held["interval_90"], "+")
+    lines.append(f"Detectable {percent(held)}, baseline {percent(result['baseline']['holdout'])}")
+    return [*lines, f"Gain {gain} {metric.shown_unit}{f' ({within})' if within else ''}, in brackets 90 %"]
 
 
 class _NeedsFound:

@@ -17,11 +17,13 @@ from ..report.summary import (
     aim_text,
     answer,
     as_sentence,
+    assumed_texts,
     definitions,
     imperfections_text,
     region_text,
     scenery_text,
     warnings_text,
+    where_text,
 )
 from ..report.tables import group_tables, score_tables, table_text
 from ..run.folder import RunFolder
@@ -77,7 +79,6 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
         held_out = f"{counted(len(site.holdout), 'held-out frame')} for the check"
     lines = [
         ("Sensor", f"{site.model.name}{columns}, range gate {observation.lidar.max_range_m:g} m"),
-        ("", _assumed_text(site)),
         ("", imperfections_text(scenario.sensor.imperfections_as_table())),
         ("Scenery", scenery_text(scenery_counts(site))),
         ("Traffic", f"{_traffic_text(site)}: {traffic}; {held_out}"),
@@ -99,12 +100,6 @@ def _traffic_text(site: Site) -> str:
     return " and ".join(f"{one.name} ({one.path}, weight {one.weight:g})" for one in recordings)
 
 
-def _assumed_text(site: Site) -> str:
-    """What the beam table of a user's own leaves open and is assumed; empty where it says all."""
-    assumed = site.model.assumptions.values()
-    return f"Assumed, as its file leaves them out: {'; '.join(assumed)}" if assumed else ""
-
-
 def outcome_text(run: RunFolder, where: str) -> str:
     """What a run came to, the answer first: it, what its words mean, tables, `where` the results are, warnings last.
 
@@ -116,7 +111,9 @@ def outcome_text(run: RunFolder, where: str) -> str:
     meant = [f"Objective{unit}: {words['objective']}", f"Detectable: {words['detectable']}"]
     tables = map(table_text, (*score_tables(result), *group_tables(result)))
     warnings = [*cautions(result), *map(as_sentence, (*result["notes"], *result["traffic_report"]["notes"]))]
-    parts = [_filled([*warnings_text(result), answer(result)]), _filled(meant), *tables, where, _filled(warnings)]
+    first = [*warnings_text(result), answer(result)]
+    assumed = [where_text(result), *(f"Assumed: {text}" for text in assumed_texts(result))]
+    parts = [_filled(first), _filled(assumed), _filled(meant), *tables, where, _filled(warnings)]
     return "\n\n".join(part for part in parts if part)
 
 

@@ -11,13 +11,13 @@ from functools import partial
 import numpy as np
 
 from ..run.tolerance import tolerance_text
+from ..scene.directions import UPRIGHT_DEG, bearing_deg, pointing
 from ..scene.mounting import Mast
 from ..scene.site import Site
 from .cautions import costliest_text, optimum_text
-from .summary import conditions, judged, kept_text, region_text, warnings_text, worth
+from .summary import as_sentence, assumed_texts, conditions, judged, kept_text, region_text, warnings_text, worth
 
 _WIDTH = 110
-_UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
 
 
 def installation_text(site: Site, result: Mapping) -> str:
@@ -25,15 +25,16 @@ def installation_text(site: Site, result: Mapping) -> str:
     mount = result["deployment"]
     mounting = site.scenario.mounting(mount)
     plumb = replace(mounting, mast=Mast(facing_rad=mounting.mast.facing_rad))
-    right, ahead, up = plumb.pose.to_world(np.eye(3))  # the sensor's axes; at zero azimuth it looks ahead
+    right, ahead, _ = plumb.pose.to_world(np.eye(3))  # the sensor's axes; at zero azimuth it looks ahead
     falls = [f"{-math.degrees(math.asin(axis[2])) + 0.0:.1f} deg" for axis in (ahead, right)]
     road, standing = site.scenario.road, site.observation.scenery
     travel = "the direction of travel" + (f" on the {road.drives_on} carriageway" if road.carriageways == 2 else "")
-    bearing = partial(_bearing, ahead_rad=site.scenario.road_map.direction(mounting.xy), travel=travel)
+    bearing = partial(_bearing, site, ahead_rad=site.scenario.road_map.direction(mounting.xy), travel=travel)
+    at = pointing(site, mounting)
     modelled = standing is not None and len(standing.scenery.beside_road) > 0
     columns = f", {site.model.columns()} columns a turn" if site.model.columns_a_turn else ""
     lines = [
-        f"Installation of one {result['sensor']} LiDAR",
+        f"Installation of one {result['sensor']} LiDAR: {result['site']}",
         "",
         *_accepted(result),
         f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor;",
@@ -41,8 +42,10 @@ def installation_text(site: Site, result: Mapping) -> str:
         *_slopes(site),
         f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it:",
         f"             {_beside(site, mounting)}",
+        f"On the map   x {at['x_m']:.2f} m, y {at['y_m']:.2f} m in the recording's coordinates ({at['frame']});",
+        "             bearings below are clockwise from their +y, which is north where y points north",
         f"Mast         faces {bearing(plumb.mast.axes[1])}",
-        f"Lean         {_lean(up, bearing)}",
+        f"Lean         {_lean(at)}",
         f"             (before yaw: {mount['tilt_x_deg']:.1f} deg down to where the mast faces, "
         f"{mount['tilt_y_deg']:.1f} deg up to the right of it)",
         f"Yaw          {mount['yaw_deg']:.1f} deg counter-clockwise seen from above; at 0 the sensor's zero azimuth",
@@ -64,6 +67,7 @@ def installation_text(site: Site, result: Mapping) -> str:
         "",
         *_expected(result),
         *_errors(result),
+        *_to_know(result),
     ]
     return "\n".join(lines) + "\n"
 
@@ -112,15 +116,14 @@ def _beside(site, mounting):
     return f"{where}{away:.2f} m from the edge of the nearest lane, to the {side} of its traffic"
 
 
-def _lean(axis, bearing):
-    """How far and which way the sensor's upright axis (3,) leans: beams on that side look down."""
-    angle = math.degrees(math.acos(min(axis[2], 1.0)))
-    if angle < _UPRIGHT_DEG:
+def _lean(at):
+    """How far and which way the sensor leans off the plumb line: beams on that side look down."""
+    if at["leans"] is None:
         return "none: the sensor stands upright"
-    return f"{angle:.1f} deg forward and down towards {bearing(axis)}"
+    return f"{at['lean_deg']:.1f} deg down {at['leans']}, bearing {at['lean_bearing_deg']:.0f} deg"
 
 
-def _bearing(axis, ahead_rad, travel):
+def _bearing(site, axis, ahead_rad, travel):
     """Where an axis (3,) points, seen from above, for people on a road that goes ahead in the direction of `travel`."""
     left = ("+y", "-x", "-y", "+x")  # of the site frame, by the quarter turns of the road in it
     quarter = round(ahead_rad / (0.5 * math.pi))
@@ -130,25 +133,31 @@ def _bearing(axis, ahead_rad, travel):
     nearest = min(names, key=lambda name: abs(math.remainder(bearing - name, 360.0)))
     off = math.remainder(bearing - nearest, 360.0)
     turned = "" if abs(off) < 0.5 else f", {abs(off):.0f} deg {'counter-' if off > 0 else ''}clockwise of it"
-    return f"{names[nearest]}{turned}"
+    return f"{names[nearest]}{turned}, bearing {bearing_deg(site.scenario, axis[:2]):.0f} deg"
 
 
 _CROWN_STEPS = 20  # each comes nearer by the crown's slope over the beam's
 
 
 def _lowest_beam(site, mounting):
-    """Where the lowest ring meets the ground in the direction of zero azimuth."""
+    """Where the lowest ring meets the ground on the side that looks down, at zero azimuth where none does."""
     pose = mounting.pose
-    lowest = float(site.model.elevation_rad[0])
-    ray = pose.to_world(np.array([[0.0, math.cos(lowest), math.sin(lowest)]]))[0]
+    lowest, (right, ahead, _) = float(site.model.elevation_rad[0]), pose.to_world(np.eye(3)) @ mounting.mast.up
+    down = math.hypot(right, ahead) > math.sin(math.radians(UPRIGHT_DEG))
+    azimuth = math.atan2(-right, -ahead) if down else 0.0  # clockwise from zero azimuth
+    beam = [math.cos(lowest) * math.sin(azimuth), math.cos(lowest) * math.cos(azimuth), math.sin(lowest)]
+    ray = pose.to_world(np.array([beam]))[0]
+    turn = round(math.degrees(azimuth)) + 0
+    side = "zero azimuth" if not turn else f"{abs(turn)} deg {'counter-' if turn < 0 else ''}clockwise of zero azimuth"
+    side = f"At {side}{', where the sensor leans' if turn else ''}, the lowest ring"
     if ray[2] >= 0:
-        return "At zero azimuth the lowest ring does not meet the ground."
+        return f"{side} does not meet the ground."
     spot = pose.position - pose.height_m / ray[2] * ray
     for _ in range(_CROWN_STEPS):  # on a crown the surface lies higher there, and so the place nearer
         rise = float(site.scenario.road_map.surface.height(spot))
         spot = pose.position - (pose.height_m - rise) / ray[2] * ray
     reach = math.dist(spot[:2], mounting.xy)
-    return f"At zero azimuth the lowest ring meets the ground {reach:.1f} m from the pole: put a target there."
+    return f"{side} meets the ground {reach:.1f} m from the pole: put a target there."
 
 
 def _expected(result):
@@ -158,6 +167,14 @@ def _expected(result):
     for text in filter(None, (worth(result), optimum_text(result))):
         lines += textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")
     return [*lines, *(f"- as {condition}" for condition in conditions(result))]
+
+
+def _to_know(result):
+    """What was assumed, and what the run notes of its frames and of the traffic as read."""
+    found = [f"assumed: {text}" for text in assumed_texts(result)]
+    found += [as_sentence(text) for text in (*result["notes"], *result["traffic_report"]["notes"])]
+    lines = [line for text in found for line in textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")]
+    return ["", "To know", *lines] if lines else []
 
 
 def _errors(result):

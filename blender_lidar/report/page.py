@@ -22,6 +22,7 @@ from .html import Markup, element, image, joined, sheet_markup, table, terms
 from .summary import (
     answer,
     as_sentence,
+    assumed_texts,
     boxes_text,
     conditions,
     definitions,
@@ -35,6 +36,7 @@ from .summary import (
     sides,
     warnings_text,
     was_searched,
+    where_text,
 )
 from .tables import TextTable, group_tables, score_tables
 
@@ -203,7 +205,7 @@ def report_html(run: RunFolder) -> str:
     """
     style = Markup(_STYLE.read_text(encoding="utf-8"))
     with refused_by_name(run.file(RESULT)):
-        title = f"{_name(run)}: {run.result['sensor']} mounting"
+        title = f"{run.result['site']}: {run.result['sensor']} mounting"
         body = element(
             "main",
             _heading(run),
@@ -222,11 +224,6 @@ def report_html(run: RunFolder) -> str:
     return f'<!DOCTYPE html>\n<html lang="en">\n{head}\n{element("body", body)}\n</html>\n'
 
 
-def _name(run: RunFolder) -> str:
-    """The scene file's name without its ending."""
-    return Path(run.result["scene"]).stem
-
-
 def _heading(run: RunFolder):
     """What was asked, the answer in a sentence, and the key figures."""
     result, scene = run.result, run.file(SCENE)
@@ -241,13 +238,15 @@ def _heading(run: RunFolder):
     return element(
         "header",
         element("p", f"{'Best' if was_searched(result) else 'A'} mounting of a roadside LiDAR", class_="kind"),
-        element("h1", _name(run), " ", element("span", result["sensor"])),
+        element("h1", result["site"], " ", element("span", result["sensor"])),
         element("p", f"Range gate {result['range_gate_m']:g} m · traffic {traffic} · {frames}", class_="facts"),
         element("p", f"Vehicles count {region_text(result['region'])}", class_="facts"),
         *(element("p", f"{text[0].upper()}{text[1:]}", class_="facts") for text in conditions(result)),
         *(element("p", text, class_="warning") for text in warnings_text(result)),
         element("p", answer(result), class_="answer"),
         element("dl", *figures, class_="figures"),
+        element("p", where_text(result), class_="facts"),
+        *(element("p", f"Assumed: {text}", class_="facts") for text in assumed_texts(result)),
     )
 
 

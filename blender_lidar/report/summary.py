@@ -60,10 +60,15 @@ def mounting_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
     return ", ".join([*parts, *(f"{name} {angle:.1f}°" for name, angle in more.items() if angle)])
 
 
-def direction_text(mount: Mapping[str, float]) -> str:
-    """Which way a sensor leans: the nearest axis of the road frame, and how far it points off that axis."""
-    ways = {0.0: "forward along the road, {}+x", 90.0: "to the left across the road, {}+y"}
-    ways |= {180.0: "back along the road, {}-x", -90.0: "to the right across the road, {}-y"}
+def direction_text(mount: Mapping[str, float], pointing: Mapping | None = None) -> str:
+    """Which way a sensor leans: what lies there and its bearing, where `scene.directions.pointing` has told.
+
+    Otherwise the nearest axis of the site frame, and how far off that axis.
+    """
+    if pointing:
+        return f"{pointing['leans']}, bearing {pointing['lean_bearing_deg']:.0f}°"
+    ways = {0.0: "along the road, {}+x", 90.0: "across the road, {}+y"}
+    ways |= {180.0: "along the road, {}-x", -90.0: "across the road, {}-y"}
     bearing = mount["lean_direction_deg"] + mount.get("facing_deg", 90.0)
     nearest = min(ways, key=lambda way: abs(math.remainder(bearing - way, 360.0)))
     off = math.remainder(bearing - nearest, 360.0)
@@ -71,15 +76,17 @@ def direction_text(mount: Mapping[str, float]) -> str:
     return ways[nearest].format(turned)
 
 
-def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
+def place_text(mount: Mapping[str, float], *, leans: bool = False, pointing: Mapping | None = None) -> str:
     """A mounting in words that a sentence can hold, without the coordinates that are 0.
 
-    `leans` says whether its orientation is given as a lean, which a mounting of result.json has besides its tilts.
+    `leans` says whether its orientation is given as a lean, which a mounting of result.json has besides its tilts;
+    `pointing` is what result.json has of where it points.
     """
+    aims = pointing if pointing and pointing["leans"] else None
     if leans:
         parts = [f"{mount['height_m']:.2f} m above the road", "level"]
         if mount["lean_deg"] >= LEVEL_DEG:
-            parts[1] = f"leaning {mount['lean_deg']:.1f}° {direction_text(mount)}"
+            parts[1] = f"leaning {mount['lean_deg']:.1f}° {direction_text(mount, aims)}"
         if abs(mount["spin_deg"]) >= LEVEL_DEG:
             parts.append(f"turned {mount['spin_deg']:.1f}° about its axis")
         if mount["x_m"] or mount["y_m"]:
@@ -92,7 +99,10 @@ def place_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
         across = "towards where the mast faces", "sideways"
     tilts = dict(zip(ANGLES, across, strict=False))
     leaning = [f"{mount[key]:.1f}° {way}" for key, way in tilts.items() if abs(mount[key]) >= LEVEL_DEG]
-    parts = [f"{mount['height_m']:.2f} m above the road", f"tilted {' and '.join(leaning)}" if leaning else "level"]
+    tilted = f"tilted {' and '.join(leaning)}" if leaning else "level"
+    if aims and len(leaning) == 1:
+        tilted = f"tilted {aims['lean_deg']:.1f}° down {aims['leans']}"
+    parts = [f"{mount['height_m']:.2f} m above the road", tilted]
     if abs(mount["yaw_deg"]) >= LEVEL_DEG:
         parts.append(f"turned {mount['yaw_deg']:.1f}°")
     parts += [facing] if facing else []
@@ -117,6 +127,18 @@ def frames_word(result: Mapping) -> str:
 def warnings_text(result: Mapping) -> list[str]:
     """What cannot be true of the traffic and was accepted, each as a sentence: the first lines of every output."""
     return [f"Warning, accepted ({one['name']}): {one['text']}." for one in result.get("warnings", ())]
+
+
+def where_text(result: Mapping) -> str:
+    """Where the mast stands and which way it faces in the recording's own coordinates."""
+    at = result["pointing"]
+    place = f"the mast stands at x {at['x_m']:.2f} m, y {at['y_m']:.2f} m and faces {at['facing_bearing_deg']:.0f}°"
+    return f"In the recording's own coordinates ({at['frame']}) {place}; bearings are clockwise from their +y."
+
+
+def assumed_texts(result: Mapping) -> list[str]:
+    """What was assumed, a sentence each."""
+    return [as_sentence(text) for text in result["assumptions"]]
 
 
 def conditions(result: Mapping) -> list[str]:
@@ -332,7 +354,7 @@ def _orientation(result):
     mount = result["deployment"]
     if not leans(result):
         return {"tilt across the road": minus(f"{mount['tilt_x_deg']:.1f}°")}
-    way = "" if mount["lean_direction_deg"] is None else f" {direction_text(mount)}"
+    way = "" if mount["lean_direction_deg"] is None else f" {direction_text(mount, result['pointing'])}"
     return {f"lean{way}": f"{mount['lean_deg']:.1f}°"}
 
 
@@ -343,7 +365,8 @@ def sensor_text(result: Mapping) -> str:
 
 def _what_to_do(result):
     """The sentence's beginning: hang it there, or what leaves that in doubt."""
-    sensor, place = sensor_text(result), place_text(result["deployment"], leans=leans(result))
+    place = place_text(result["deployment"], leans=leans(result), pointing=result["pointing"])
+    sensor = sensor_text(result)
     if not was_searched(result):
         return f"The {sensor} {place}"
     if not better_than_baseline(result):

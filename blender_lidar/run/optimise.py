@@ -18,6 +18,7 @@ from ..optimise.multi_fidelity import Asked, MultiFidelitySearch
 from ..optimise.search import joined_history
 from ..plugins import short_name
 from ..scene.deployment import MOUNTING_OR_LEAN, Pole, SearchSpace
+from ..scene.directions import pointing
 from ..scene.mounting import Layout, Mounting
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario
@@ -25,6 +26,7 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
 from ..statistics import best_intervals_90, block_sums, of_blocks
+from .assumptions import assumptions, site_name
 from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, RunFolder
 from .replay import Listener, Replay
 from .tolerance import JUDGED_BASE, SEARCHED_BASE, best_over_tolerance, objective_over
@@ -375,6 +377,7 @@ def _conclude(
     result = {
         "schema": RUN_SCHEMA,
         "scene": Path(scenario.source).name,
+        "site": site_name(scenario),
         "sensor": site.model.name,
         "range_gate_m": scenario.sensor.range_gate_m,
         "region": scenario.as_tables()["region"],
@@ -402,10 +405,12 @@ def _conclude(
         "block_s": site.plan.block_s,
         "vehicles": int(evaluator.vehicles.sum()),
         "deployment": layouts["optimised"][0].as_table(),
+        "pointing": pointing(site, layouts["optimised"][0]),
         **verdict["optimised"],
         "groups": groups,
         "baseline": {"deployment": scenario.baseline.as_table(), **verdict[BASELINE_NAME]},
         "tolerance": over_tolerance,
+        "assumptions": assumptions(site, tables["optimised"]),
         "warnings": site.recording.report.warnings_as_dicts(),
         "notes": list(site.plan.notes),
         "traffic_report": site.recording.report.as_dict(),

@@ -417,5 +417,6 @@ def _joined_reports(reports: Sequence[RepairReport], names: Sequence[str]) -> Re
     return RepairReport(
         **{count: sum(getattr(report, count) for report in reports) for count in counts},
         notes=tuple(f"{name}: {note}" for name, report in named for note in report.notes),
+        assumed=tuple(f"{name}: {text}" for name, report in named for text in report.assumed),
         warnings=tuple((what, f"{name}: {text}") for name, report in named for what, text in report.warnings),
     )

@@ -115,7 +115,8 @@ def read_sumo(
             duplicates=duplicates,
             repeated=repeated,
             left_out=report.left_out + strangers.total(),
-            notes=(*notes, *assumed),
+            notes=tuple(notes),
+            assumed=tuple(assumed),
         ),
     )
 

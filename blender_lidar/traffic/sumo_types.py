@@ -152,7 +152,7 @@ def types_of(
     unknown = [name for name, kind in zip(names, found, strict=True) if kind is None]
     if defined is None:
         cars = f", a passenger car's for {listed([name or 'no type' for name in unknown])}" if unknown else ""
-        note = f"no vehicle_types: sizes are SUMO's defaults for the type's vehicle class{cars}"
+        note = f"Sizes: without vehicle_types SUMO's defaults for the type's vehicle class{cars}"
         return [kind or DEFAULT_TYPES["passenger"] for kind in found], [note]
     if "" in unknown:
         raise InputError(

@@ -98,7 +98,7 @@ def read_table(
     values = np.column_stack([column for name, column in columns.items() if name not in ("frame", "vehicle_id")])
     kept, duplicates, repeated = drop_repeats(columns["vehicle_id"], columns["frame"], values)
     columns = {name: column[kept] for name, column in columns.items()}
-    time_s, step_s, notes = _times(path, columns, time_step_s)
+    time_s, step_s, assumed = _times(path, columns, time_step_s)
     plane = placing.points(np.column_stack([columns["x_m"], columns["y_m"]]))
     return Recording.from_rows(
         frame=columns["frame"],
@@ -111,7 +111,9 @@ def read_table(
         lane=columns.get("lane", np.zeros(len(kept))),
         time_step_s=step_s,
         source=str(path),
-        report=RepairReport(rows_read, len(kept), duplicates=duplicates, repeated=repeated, notes=(*notes, *numbering)),
+        report=RepairReport(
+            rows_read, len(kept), duplicates=duplicates, repeated=repeated, notes=tuple(numbering), assumed=assumed
+        ),
     )
 
 
@@ -187,8 +189,8 @@ def _times(
     if time_step_s is not None:
         return frame * time_step_s, time_step_s, ()
     if "time_s" not in columns:
-        note = f"neither a column time_s nor a time step was given: {_ASSUMED_TIME_STEP_S} s per frame is assumed"
-        return frame * _ASSUMED_TIME_STEP_S, _ASSUMED_TIME_STEP_S, (note,)
+        assumed = f"Time: {_ASSUMED_TIME_STEP_S} s from frame to frame, as there is neither time_s nor time_step_s"
+        return frame * _ASSUMED_TIME_STEP_S, _ASSUMED_TIME_STEP_S, (assumed,)
     time_s = columns["time_s"]
     frames, first, of_row = np.unique(frame, return_index=True, return_inverse=True)
     at = time_s[first]

@@ -44,6 +44,8 @@ class RepairReport:
         Pairs of overlapping boxes, and the number of frames looked at.
     notes : tuple of str
         Choices made where a setting was missing, as sentences.
+    assumed : tuple of str
+        What the recording does not say and was assumed, as sentences.
     warnings : tuple of (str, str)
         What cannot be true and was accepted: its name, and what was seen.
     """
@@ -64,6 +66,7 @@ class RepairReport:
     overlaps: int = 0
     overlap_frames: int = 0
     notes: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
     warnings: tuple[tuple[str, str], ...] = ()
 
     def lines(self, *, losses: bool = False) -> list[str]:
@@ -98,7 +101,7 @@ class RepairReport:
     def as_dict(self) -> dict[str, object]:
         """All counts, for a result file, which holds the warnings by themselves."""
         found = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
-        del found["warnings"]
+        del found["warnings"], found["assumed"]
         return found
 
     def warnings_as_dicts(self) -> list[dict[str, str]]:
