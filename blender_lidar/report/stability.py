@@ -59,7 +59,7 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
         return False
     interval = _numbers_with(result, "tilt_interval_90_deg").get("tilt_interval_90_deg")
     limits = [100.0 * limit for limit in SHARE_LIMITS]
-    title = "What the mounting loses when one thing changes, and where the best one would hang"
+    title = "What one change costs, and where the best tilt would be"
     with sheet(path, _HEADING_MM + _ROW_MM * len(changes), title, _about(result)) as figure:
         from matplotlib.lines import Line2D
 
