@@ -172,7 +172,7 @@ def test_a_stream_that_is_closed_is_no_reason_to_fail(closed):
 
 def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     out, err = done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
-    described, message, assumed, meant, *tables, where, notes = out.rstrip().split("\n\n")
+    described, message, other, assumed, meant, *tables, where, notes = out.rstrip().split("\n\n")
     assert [line.split()[0] for line in described.splitlines()] == [
         "Sensor",
         "Traffic",
@@ -181,6 +181,7 @@ def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
         "Casting",
     ]
     assert " ".join(message.split()) == answer(json.loads(Path("run/result.json").read_text()))
+    assert [line.split()[0] for line in other.splitlines() if line[0].isupper()] == ["If", "Detectable"]
     assert " ".join(assumed.split()).startswith("In the recording's own coordinates (x and y of the table) the mast ")
     assert [line.split()[0] for line in meant.splitlines() if line[0].isupper()] == ["Objective,", "Detectable:"]
     assert tables[0].startswith("Mounting ")
@@ -229,8 +230,9 @@ def test_an_optimum_on_a_bound_is_pointed_out_and_no_other(tmp_path, capsys, hei
     scene = write_scene(tmp_path, {"deployment": {"height_m": height_m}})
     _, out, _ = run(capsys, "optimise", scene, "--search", "grid", "--particles", 11, "--iterations", 1, "--out", "run")
     best = json.loads(Path("run/result.json").read_text())["deployment"]["height_m"]
-    pointed_out = "height lies on a bound of [deployment]; a value beyond it may be better." in " ".join(out.split())
-    assert pointed_out == (best in height_m)
+    said = " ".join(out.split())
+    assert ("height lies on a bound of [deployment]; " in said) == (best in height_m)
+    assert (f"; at {best + 1.0:.2f} m the detectable share would change by " in said) == (best == height_m[1])
 
 
 def test_a_search_that_finds_nothing_better_than_the_baseline_says_so(tmp_path, capsys):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.report.installation import installation_text
+from blender_lidar.run.what_if import other_traffic
 from blender_lidar.scene.directions import pointing
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -42,6 +43,7 @@ def sheet(tmp_path):
                 "baseline": {**BASE_SCORES, "holdout": holdout and HELD_OUT_BASE},
                 "map": score_map,
                 "pointing": pointing(site, site.scenario.mounting(MOUNT | mount)),
+                "other_traffic": other_traffic(site, site.scenario.mounting(MOUNT | mount)),
                 "assumptions": ["Heights are guessed"],
                 "notes": ["a note on frames"],
                 "traffic_report": {"notes": []},

@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..metrics.catalogue import metric_named
-from ..report.cautions import cautions
+from ..report.cautions import cautions, lorries_text, other_traffic_text
 from ..report.summary import (
     aim_text,
     answer,
@@ -113,7 +113,8 @@ def outcome_text(run: RunFolder, where: str) -> str:
     warnings = [*cautions(result), *map(as_sentence, (*result["notes"], *result["traffic_report"]["notes"]))]
     first = [*warnings_text(result), answer(result)]
     assumed = [where_text(result), *(f"Assumed: {text}" for text in assumed_texts(result))]
-    parts = [_filled(first), _filled(assumed), _filled(meant), *tables, where, _filled(warnings)]
+    other = _filled([f"{text}." for text in (lorries_text(result), other_traffic_text(result)) if text])
+    parts = [_filled(first), other, _filled(assumed), _filled(meant), *tables, where, _filled(warnings)]
     return "\n\n".join(part for part in parts if part)
 
 

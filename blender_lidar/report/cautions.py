@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from ..metrics.catalogue import metric_named
+from ..metrics.catalogue import DETECTABLE, metric_named
+from ..run.what_if import ON_A_BOUND, REPAIRED
 from ..scene.mounting import ANGLES, COORDINATE_NAMES, LEANS
 from .summary import (
     LEVEL_DEG,
@@ -16,6 +17,7 @@ from .summary import (
     better_than_baseline,
     judged,
     judged_over_tolerance,
+    measured,
     sharp_of,
     span,
     was_searched,
@@ -23,7 +25,6 @@ from .summary import (
 
 _MOST_NAMED = 5
 _SMALL_SHORTFALL = 0.01  # what a search may miss before more of it is advised
-_ON_A_BOUND = 0.01  # of the width between two bounds: a search that reflects there comes close and never upon it
 _WIDTHS = {"height_m": "height_m", "tilt_x_deg": "tilt_deg", "tilt_y_deg": "tilt_deg", "yaw_deg": "yaw_deg"}
 _DIGITS = {"m": 2, "deg": 1}
 
@@ -45,11 +46,12 @@ def cautions(result: Mapping) -> list[str]:
             continue
         if key in LEANS[1:]:  # given from -180 to 180 degrees, wherever it was searched
             place = low + (place - low) % 360.0
-        slack = _ON_A_BOUND * (high - low)
+        slack = ON_A_BOUND * (high - low)
         upright = key == "lean_deg" and low == 0.0 and place < high - slack  # beyond which nothing lies
         if not low + slack < place < high - slack and not upright:
             whose = "its pole" if key == "height_m" and result.get("pole") else "[deployment]"
-            found.append(f"The best {name} lies on a bound of {whose}; a value beyond it may be better.")
+            beyond = next_metre_text(result) if key == "height_m" and place > low + slack else ""
+            found.append(f"The best {name} lies on a bound of {whose}; {beyond or 'a value beyond it may be better'}.")
     if result.get("rungs"):
         tried = sum(rung["candidates"] for rung in result["rungs"])
         found.append(
@@ -62,6 +64,63 @@ def cautions(result: Mapping) -> list[str]:
         *found,
         *(as_sentence(text) for text in (poles_text(result), seeds_text(result), optimum_text(result)) if text),
     ]
+
+
+def next_metre_text(result: Mapping) -> str:
+    """What one metre more than allowed would gain; empty where the height is not on its bound."""
+    if (beyond := result.get("next_metre")) is None:
+        return ""
+    scores, metric = beyond["holdout"] or beyond, metric_named(result["metric"])
+    points, around = measured(
+        DETECTABLE, *(scores[f"detectable_share_gain{end}"] for end in ("", "_interval_90")), sign="+"
+    )
+    text = f"at {beyond['deployment']['height_m']:.2f} m the detectable share would change by {points} points"
+    text += f" ({around})" if around else ""
+    if "gain_over_baseline" in scores:
+        gain, around = measured(metric, scores["gain_over_baseline"], scores["interval_90"], "+")
+        text += f" and the objective by {gain} {metric.shown_unit}{metric.per_vehicle}"
+        text += f" ({around})" if around else ""
+    return text
+
+
+def lorries_text(result: Mapping) -> str:
+    """Coverage with lorries alone in the nearest lane, the lane that loses most, and what would repair it."""
+    other = result["other_traffic"]
+    whole, repair = other["recorded"], other["repair"]
+    worst = next(mix for mix in other["mixes"] if mix["lorries"] == 1.0)
+    if whole["detectable_share"] is None or worst["detectable_share"] is None:
+        return ""
+    after, before = map(_share_with_interval, (worst, whole))
+    text = f"If all vehicles of {worst['lanes']} were lorries, {after} would be detectable instead of {before}"
+    lost = {
+        name: share - worst["by_lane"][name] for name, share in whole["by_lane"].items() if name in worst["by_lane"]
+    }
+    if lost and max(lost.values()) > 0.0:
+        lane = max(lost, key=lost.get)
+        text += f", in {lane} {100 * worst['by_lane'][lane]:.0f} instead of {100 * whole['by_lane'][lane]:.0f} %"
+    if whole["detectable_share"] - worst["detectable_share"] <= REPAIRED:
+        return text
+    share = f"{100 * repair['detectable_share']:.0f} %"
+    beyond = "" if repair["within_bounds"] else ", above the allowed heights,"
+    if repair["repairs"]:
+        text += f"; a height of {repair['height_m']:g} m{beyond} would bring it back ({share})"
+    else:
+        text += f"; no height up to 12 m brings it back (at best {share}, at {repair['height_m']:g} m)"
+    if repair["other_side"] is not None:
+        text += f", and a pole on the other side of the road would see {100 * repair['other_side']:.0f} %"
+    return text
+
+
+def other_traffic_text(result: Mapping) -> str:
+    """Coverage by night, in the rush hour and in a queue."""
+    rows = [mix for mix in result["other_traffic"]["mixes"] if mix["lanes"] is None]
+    shares = [f"{mix['what']} ({mix['value']}) {_share_with_interval(mix)}" for mix in rows if mix["boxes"]]
+    return f"Detectable under other traffic: {', '.join(shares)}" if shares else ""
+
+
+def _share_with_interval(mix):
+    share, around = measured(DETECTABLE, mix["detectable_share"], mix["interval_90"])
+    return f"{share} %" + (f" ({around})" if around else "")
 
 
 def _undecided_by_threshold(result):

@@ -14,7 +14,7 @@ from ..run.tolerance import tolerance_text
 from ..scene.directions import UPRIGHT_DEG, bearing_deg, pointing
 from ..scene.mounting import Mast
 from ..scene.site import Site
-from .cautions import costliest_text, optimum_text
+from .cautions import costliest_text, lorries_text, next_metre_text, optimum_text, other_traffic_text
 from .summary import as_sentence, assumed_texts, conditions, judged, kept_text, region_text, warnings_text, worth
 
 _WIDTH = 110
@@ -164,7 +164,8 @@ def _expected(result):
     """What to expect, on the frames that did not choose the mounting where there are any."""
     *_, on = judged(result)
     lines = [f"Expected, on {on}"]
-    for text in filter(None, (worth(result), optimum_text(result))):
+    found = (worth(result), optimum_text(result), next_metre_text(result), lorries_text(result))
+    for text in filter(None, (*found, other_traffic_text(result))):
         lines += textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")
     return [*lines, *(f"- as {condition}" for condition in conditions(result))]
 

@@ -16,7 +16,7 @@ from ..files import write_text
 from ..run.folder import DETECTION, INSTALLATION, REPORT, RESULT, SCENE, RunFolder, refused_by_name
 from ..toml_table import read_toml
 from ..traffic.vehicles import RepairReport, counted
-from .cautions import cautions
+from .cautions import cautions, lorries_text, other_traffic_text
 from .detection import detection_table, detection_text
 from .html import Markup, element, image, joined, sheet_markup, table, terms
 from .summary import (
@@ -106,6 +106,12 @@ CHARTS = {
         "Road from above, shaded by the share of vehicles below the threshold, for both mountings",
         "The darker a stretch of a lane, the more of the vehicles there stay below the threshold; the triangle is the "
         "LiDAR.",
+    ),
+    "other_traffic.png": (
+        "Detectable share under other traffic: lorries by lane, night, rush hour, a queue",
+        "Look for rows whose interval lies left of the dashed line, and for the lane that is named there: that traffic "
+        "hides vehicles that the recorded traffic does not. A number that a lorry costs is mended by height, by a pole "
+        "on the other side, or not at all.",
     ),
     "clouds.png": (
         "One revolution's points on the road from above, for both mountings",
@@ -245,6 +251,11 @@ def _heading(run: RunFolder):
         *(element("p", text, class_="warning") for text in warnings_text(result)),
         element("p", answer(result), class_="answer"),
         element("dl", *figures, class_="figures"),
+        *(
+            element("p", f"{text}.", class_="facts")
+            for text in (lorries_text(result), other_traffic_text(result))
+            if text
+        ),
         element("p", where_text(result), class_="facts"),
         *(element("p", f"Assumed: {text}", class_="facts") for text in assumed_texts(result)),
     )
@@ -291,7 +302,11 @@ def _where(run: RunFolder):
     text += "Read the intervals before the numbers."
     tables = [table_markup(table, class_="groups") for table in group_tables(run.result)]
     drawn = any(run.file(name).exists() for name in CHARTS)
-    charts = chart_figures(run, "by_distance.png", "blind_zones.png") if drawn else [element("p", _NO_CHARTS)]
+    charts = (
+        chart_figures(run, "by_distance.png", "blind_zones.png", "other_traffic.png")
+        if drawn
+        else [element("p", _NO_CHARTS)]
+    )
     return _section("Where vehicles are seen", element("p", text), *tables, *charts)
 
 

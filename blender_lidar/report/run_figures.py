@@ -32,7 +32,7 @@ from .figure import (
     mark_sensor,
     sheet,
 )
-from .summary import leans, mounting_text, sharp_of, sides, was_searched
+from .summary import leans, mounting_name, mounting_text, sharp_of, sides, was_searched
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,6 +69,7 @@ def draw_charts(site: Site, run: RunFolder) -> list[str]:
         "blind_zones.png": partial(
             plot_blind_zones, run=run, road=site.scenario.road_map, zones=site.scenario.objective.zones
         ),
+        "other_traffic.png": partial(plot_other_traffic, result=run.result),
         "clouds.png": partial(draw_clouds, site=site, run=run),
         "occupancy.png": partial(draw_occupancy, site=site, run=run),
     }
@@ -242,6 +243,41 @@ def plot_by_distance(path: str | Path, run: RunFolder) -> None:
             axes.grid(visible=True)
         figure.align_ylabels()
         legend_below(figure, handles, columns=len(handles))
+
+
+def plot_other_traffic(path: str | Path, result: Mapping) -> None:
+    """Draw the detectable share under other traffic with its interval, and of each lane, beside the recorded one's."""
+    from matplotlib.lines import Line2D
+
+    other = result["other_traffic"]
+    rows = [{"what": "as recorded", "value": "", **other["recorded"]}, *other["mixes"]]
+    rows = [row for row in rows if row["detectable_share"] is not None]
+    about = f"{result['sensor']}, the {mounting_name(result)} mounting, {counted(other['frames'], 'frame')}"
+    look = {**OPTIMISED_LOOK, "linestyle": "none"}
+    lane_look = {"marker": "|", "markersize": 7.0, "linestyle": "none", "color": FAINT}
+    with sheet(path, 34.0 + 6.0 * len(rows), "Detectable vehicles under other traffic", about) as figure:
+        axes = figure.subplots()
+        for at, row in enumerate(rows):
+            share, ends = 100.0 * row["detectable_share"], row["interval_90"]
+            lanes = [100.0 * one for one in row["by_lane"].values()]
+            axes.plot(lanes, [at] * len(lanes), zorder=2, **lane_look)
+            if ends:
+                axes.plot([100.0 * end for end in ends], [at, at], color=look["color"])
+            axes.plot(share, at, zorder=3, clip_on=False, **look)
+            if lanes and min(lanes) < share:
+                lane = min(row["by_lane"], key=row["by_lane"].get)
+                axes.annotate(lane, (min(lanes), at), (-3, 0), textcoords="offset points", ha="right", va="center")
+        axes.axvline(100.0 * rows[0]["detectable_share"], color=INK, linestyle="--", linewidth=1.0)
+        names = [", ".join(filter(None, (row["what"], row["value"]))) for row in rows]
+        axes.set(xlabel="Detectable share [%]", xlim=(0.0, 100.0), ylim=(len(rows) - 0.5, -0.5))
+        axes.set_yticks(range(len(rows)), names)
+        axes.grid(visible=True, axis="x")
+        handles = [
+            Line2D([], [], **{**look, "linestyle": "-", "label": "all vehicles, 90 % interval"}),
+            Line2D([], [], **lane_look, label="each lane; the one seen least is named"),
+            Line2D([], [], color=INK, linestyle="--", label="as recorded"),
+        ]
+        legend_below(figure, handles, columns=3)
 
 
 def cell_means(values: np.ndarray, places: Sequence[np.ndarray], edges: Sequence[np.ndarray]) -> np.ndarray:

@@ -44,6 +44,7 @@ from .verdict import (
     rank_places,
     with_coordinates,
 )
+from .what_if import next_metre, other_traffic
 
 _BATCH = 100  # mountings of a record that are scored again together
 _EQUAL = 1e-9  # of the objective: values nearer to one another differ by rounding
@@ -410,6 +411,8 @@ def _conclude(
         "groups": groups,
         "baseline": {"deployment": scenario.baseline.as_table(), **verdict[BASELINE_NAME]},
         "tolerance": over_tolerance,
+        "next_metre": next_metre(site, evaluator, space, layouts["optimised"][0]) if searches else None,
+        "other_traffic": other_traffic(site, layouts["optimised"][0]),
         "assumptions": assumptions(site, tables["optimised"]),
         "warnings": site.recording.report.warnings_as_dicts(),
         "notes": list(site.plan.notes),

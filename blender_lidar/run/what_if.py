@@ -1,16 +1,26 @@
-"""What if: other traffic than was recorded at a site, thinned, in queues, or of other vehicles."""
+"""What if: coverage of a mounting under other traffic than was recorded, with lorries in the near lanes above all."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
+from ..scene.deployment import SearchSpace
+from ..scene.mounting import Mounting, mast_at
 from ..scene.observation import CountedFrame
 from ..scene.site import Site
-from ..traffic.fleet import Gaps, queued
+from ..scoring.evaluation import Evaluator
+from ..scoring.fidelity import evenly_spread
+from ..statistics import share_interval_90
+from ..traffic.fleet import BUS, CAR, TRUCK, VAN, Gaps, queued, turned_into
 from ..traffic.vehicles import Vehicles
+from .vehicle_table import add_shares, lanes, vehicle_table, vehicle_tables
+from .verdict import BASELINE_NAME, judge
 
 # --- Other traffic ----------------------------------------------------------------------------------------------------
 
@@ -57,3 +67,213 @@ def with_traffic(
         replace(frame, counted=frame.counted & ~np.isin(frame.vehicles.vehicle_id % step, chosen)) for frame in held_out
     )
     return replace(site, search=searched, holdout=tuple(judged))
+
+
+def with_lorries(site: Site, near_to: Sequence[float] | None, near: int | None, share: float, seed: int) -> Site:
+    """The site with that share of lorries in the lanes nearest to a place, in all for None; they keep their gaps.
+
+    Which cars and vans turn into lorries is drawn once for each vehicle, so that a greater share has those of a smaller
+    one. Lorries and buses that were recorded count among them.
+    """
+    road, recording = site.scenario.road_map, site.recording
+    ids = np.unique(recording.vehicle_id)
+    drawn = np.random.default_rng(seed).random(len(ids))
+    chosen = None if near is None else _by_distance(site, near_to)[:near]
+
+    def turned(vehicles: Vehicles) -> Vehicles:
+        here = np.ones(len(vehicles), dtype=bool)
+        if chosen is not None:
+            here = np.isin(road.locate(vehicles.centre_m, vehicles.heading_rad).lane, chosen)
+        large = here & np.isin(vehicles.class_index, (TRUCK, BUS))
+        small = here & np.isin(vehicles.class_index, (CAR, VAN))
+        missing = (share * (large | small).sum() - large.sum()) / max(int(small.sum()), 1)
+        turns = small & (drawn[np.searchsorted(ids, vehicles.vehicle_id)] < missing)
+        return turned_into(vehicles, vehicles.vehicle_id[turns], TRUCK)
+
+    return with_traffic(site, turned, lambda gaps: gaps)
+
+
+def _by_distance(site: Site, xy: Sequence[float]) -> np.ndarray:
+    """Rows of the road map's lanes, the nearest to a place first."""
+    return np.argsort(np.hypot(*(site.scenario.road_map.nearest(xy) - xy).T), kind="stable")
+
+
+LORRY_SHARES = (0.1, 0.3, 1.0)
+_NIGHT, _RUSH = 0.25, 0.5  # of the vehicles, and of the gaps
+
+
+def rush_hour(site: Site, seed: int = 0) -> Site:
+    """The site with half the gaps between vehicles, at the same speed; nothing is drawn."""
+    return with_traffic(site, lambda vehicles: vehicles, lambda gaps: _RUSH * gaps, site.reach_m)
+
+
+class Mix(NamedTuple):
+    """Other traffic: what it is, and `change(site, seed=)`, which makes it of a site; with or without a draw.
+
+    `lanes` and `lorries` are where lorries drive and their share; None where it is not about them.
+    """
+
+    what: str
+    value: str
+    change: Callable[..., Site]
+    is_drawn: bool
+    lanes: str | None = None
+    lorries: float | None = None
+
+
+def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
+    """Lorries in the lanes nearest to a place, night, rush hour and a queue."""
+    near = {1: "the nearest lane", 2: "the two nearest lanes"}
+    lanes = [(count, name) for count, name in near.items() if count < len(site.scenario.road_map)]
+    found = [
+        Mix(
+            f"lorries in {name}",
+            f"{100 * share:g} %",
+            partial(with_lorries, near_to=tuple(near_to), near=count, share=share),
+            True,
+            name,
+            share,
+        )
+        for count, name in (*lanes, (None, "every lane"))
+        for share in LORRY_SHARES
+    ]
+    night = Mix("night", "a quarter of the vehicles", partial(thinned, share=_NIGHT), True)
+    rush, queue = Mix("rush hour", "half the gaps", rush_hour, False), "gaps of {:g} to {:g} m".format(*JAM_GAPS_M)
+    return [*found, night, rush, Mix("queue", queue, jammed, False)]
+
+
+# --- Coverage under it ------------------------------------------------------------------------------------------------
+
+_FRAMES = 20  # of the judging ones: the share to a few points, in a twentieth of a run's time
+REPAIRED = 0.02  # of the recorded share is all that may be missing
+_HIGHEST_M, _STEP_M = 12.0, 0.5
+_TILTS_DEG = (0.0, 5.0, 10.0)  # more than planned, as a higher LiDAR needs
+
+
+def other_traffic(site: Site, mounting: Mounting) -> dict[str, object]:
+    """Coverage of a mounting when other traffic drives, and what would repair it, as JSON holds it.
+
+    Returns
+    -------
+    dict
+        ``frames`` looked at; ``recorded`` and ``mixes``: ``what`` and its ``value``, ``lanes`` and ``lorries``,
+        ``boxes``, ``distinct_vehicles``, ``detectable_share``, its ``interval_90``, and the shares ``by_lane``; and
+        ``repair`` of lorries alone in the nearest lane: ``height_m`` and ``detectable_share`` of the least height that
+        ``repairs`` it, all but 2 points, or of the best up to 12 m, whether that is ``within_bounds``, and the share
+        from a pole on the ``other_side``, None where none can stand.
+    """
+    few, seed = _judging(site), site.scenario.search.seed
+    whole = _coverage(with_traffic(few, lambda vehicles: vehicles), mounting)
+    rows, near = [], None
+    for mix in mixes(few, mounting.xy):
+        changed = mix.change(few, seed=seed)
+        near = changed if near is None and mix.lorries == LORRY_SHARES[-1] else near
+        told = {"what": mix.what, "value": mix.value, "lanes": mix.lanes, "lorries": mix.lorries}
+        rows.append(told | _coverage(changed, mounting))
+    repair = _repair(near, mounting, whole["detectable_share"])
+    return {"frames": len(few.search), "recorded": whole, "mixes": rows, "repair": repair}
+
+
+def _judging(site: Site) -> Site:
+    """The site with a few of the frames that judge, the held-out ones where there are any, as its searched ones."""
+    split = "holdout" if site.holdout else "search"
+    frames = getattr(site, split)
+    kept = evenly_spread(len(frames), min(_FRAMES, len(frames)))
+    parts = {name: getattr(site.plan, f"{split}{name}")[kept] for name in ("", "_block", "_recording")}
+    none = np.zeros(0, dtype=np.int64)
+    plan = replace(site.plan, **{f"search{name}": part for name, part in parts.items()})
+    plan = replace(plan, holdout=none, holdout_block=none, holdout_recording=none)
+    return replace(site, plan=plan, search=tuple(frames[row] for row in kept), holdout=())
+
+
+def _coverage(site: Site, mounting: Mounting) -> dict[str, object]:
+    """What is detectable of the traffic of a site, with its interval, and by lane where lanes are known."""
+    plan, seed = site.plan, site.scenario.search.seed
+    if not any(frame.counted.any() for frame in site.search):
+        return dict.fromkeys(("boxes", "distinct_vehicles"), 0) | {
+            "detectable_share": None,
+            "interval_90": None,
+            "by_lane": {},
+        }
+    table = vehicle_table((mounting,), search=Evaluator(site.search, site.observation, site.scoring))
+    at = np.searchsorted(plan.search, table["frame"])
+    of = table["vehicle_id"], plan.search_block[at], seed, plan.search_recording[at]
+    ends = share_interval_90(table["detectable"], *of)
+    by_lane = lanes(table) if table["lane"].any() else []
+    return {
+        "boxes": len(at),
+        "distinct_vehicles": len(np.unique(table["vehicle_id"])),
+        "detectable_share": float(table["detectable"].mean()),
+        "interval_90": ends and list(ends),
+        "by_lane": {name: float(table["detectable"][rows].mean()) for name, rows in by_lane},
+    }
+
+
+def _repair(site: Site, mounting: Mounting, enough: float) -> dict[str, object]:
+    """The least height that sees enough of a site's traffic, or the best, and what a pole on the other side sees."""
+    _, high = site.scenario.deployment.places[0].bounds.get("height_m", (mounting.height_m,) * 2)
+    heights = np.arange(mounting.height_m + _STEP_M, max(_HIGHEST_M, high) + 1e-9, _STEP_M)
+    higher = [
+        replace(mounting, height_m=float(height), tilt_x=mounting.tilt_x + math.radians(more))
+        for height in heights
+        for more in _TILTS_DEG
+    ]
+    other = _on_other_side(site, mounting)
+    layouts = [(one,) for one in (*higher, *([other] if other else []))]
+    evaluator = Evaluator(site.search, site.observation, site.scoring)
+    shares = evaluator.totals(layouts).detectable_share()
+    best = shares[: len(higher)].reshape(len(heights), -1).max(axis=1)
+    enough = np.flatnonzero(best >= enough - REPAIRED)
+    row = int(enough[0]) if len(enough) else int(np.argmax(best))
+    return {
+        "height_m": float(heights[row]),
+        "within_bounds": bool(heights[row] <= high),
+        "repairs": bool(len(enough)),
+        "detectable_share": float(best[row]),
+        "other_side": float(shares[-1]) if other else None,
+    }
+
+
+def _on_other_side(site: Site, mounting: Mounting) -> Mounting | None:
+    """The mounting on a pole across the road, as far from it; None where the mast stands over or between lanes."""
+    road, side = site.scenario.road_map, site.scenario.road.side_of(mounting.xy)
+    if side not in ("left", "right"):
+        return None
+    place = road.locate(np.array([mounting.xy]))
+    x, y = road.at(place.s_m[0], sum(road.edges_t) - place.t_m[0])
+    if road.clearance((x, y))[0] <= 0.0:
+        return None
+    turned = math.remainder(mounting.mast.facing_rad + math.pi, 2.0 * math.pi)
+    return replace(mounting, mast=mast_at(road, float(x), float(y), turned))
+
+
+# --- Beyond the bound -------------------------------------------------------------------------------------------------
+
+ON_A_BOUND = 0.01  # of the width between two bounds: a search that reflects there comes close and never upon it
+_TILTS_BESIDE_DEG = (-4.0, -2.0, 0.0, 2.0, 4.0)
+
+
+def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, mounting: Mounting) -> dict | None:
+    """What a metre more than allowed would gain: None unless the best height lies on its upper bound.
+
+    Of a few tilts about the planned one the best on the searched frames is judged as a run's own mounting is.
+
+    Returns
+    -------
+    dict or None
+        ``deployment`` and what `run.verdict.judge` and `add_shares` say of it, gains being those over the mounting.
+    """
+    low, high = space.places[0].bounds.get("height_m", (0.0, math.inf))
+    if mounting.height_m < high - ON_A_BOUND * (high - low):
+        return None
+    higher = [
+        replace(mounting, height_m=mounting.height_m + 1.0, tilt_x=mounting.tilt_x + math.radians(more))
+        for more in _TILTS_BESIDE_DEG
+    ]
+    best = higher[int(np.argmax(evaluator.totals([(one,) for one in higher]).objective.sum(axis=1)))]
+    layouts, seed = {"optimised": (best,), BASELINE_NAME: (mounting,)}, site.scenario.search.seed
+    verdict = judge(site, layouts, evaluator, seed)
+    splits = {"search": evaluator, "holdout": evaluator.held_out}
+    tables = dict(zip(layouts, vehicle_tables(list(layouts.values()), **splits), strict=True))
+    add_shares(site, verdict, tables, None)
+    return {"deployment": best.as_table(), **verdict["optimised"]}

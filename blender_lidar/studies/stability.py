@@ -154,7 +154,7 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
     varied = [
         replace(AS_IT_IS, section=TRAFFIC),
         *metric_variations(few),  # which share its cast
-        *traffic_variations(effort.draws),
+        *traffic_variations(site, effort.draws),
         *sensor_variations(few, effort.draws),
     ]
     for change, draws in _draws(folder, few, varied, coarse, judging, given=mounting is not None).items():

@@ -17,11 +17,10 @@ from ..casting.protocol import StandingScenery
 from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
-from ..run.what_if import JAM_GAPS_M, jammed, thinned, with_traffic
+from ..run.what_if import mixes
 from ..scene.site import Site, lattice_of
 from ..scoring.fidelity import Fidelity, coarse_observation
 from ..sensors.beams import beam_lattice
-from ..traffic.fleet import BUS, CAR, TRUCK, VAN, turned_into
 from ..world.scenery import along_road, barrier, join
 from ..world.shapes import DETAILS
 from .driver import Variation
@@ -29,38 +28,16 @@ from .driver import Variation
 TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH = "traffic", "mounting", "metric", "sensor", "search"
 SECTIONS = (TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH)
 
-# --- traffic: lighter, denser, and other shares of lorries ------------------------------------------------------------
-
-SHARES_KEPT = {"light: a quarter of it": 0.25, "medium: half of it": 0.5}
-TRUCK_SHARES = (0.0, 0.1, 0.3)
+# --- traffic: lorries, night, rush hour, a queue ----------------------------------------------------------------------
 
 
-def traffic_variations(draws: int) -> list[Variation]:
-    """The recording's traffic thinned, jammed, and with other shares of lorries; what is drawn `draws` times over."""
-    numbers = range(1, draws + 1)
-    changes = [("density", text, partial(thinned, share=share), numbers) for text, share in SHARES_KEPT.items()]
-    changes.append(("density", f"jammed: gaps of {JAM_GAPS_M[1]:g} m at most", jammed, (0,)))
-    for share in TRUCK_SHARES:  # no lorries at all is no draw
-        changes.append(
-            ("lorries", f"{100 * share:g} %", partial(_with_trucks, share=share), numbers if share else (0,))
-        )
+def traffic_variations(site: Site, draws: int) -> list[Variation]:
+    """Lorries by lane, night, rush hour and a queue, as `run.what_if.mixes` has them; what is drawn `draws` times."""
     return [
-        Variation(TRAFFIC, what, text, partial(change, seed=number), number)
-        for what, text, change, draws in changes
-        for number in draws
+        Variation(TRAFFIC, mix.what, mix.value, partial(mix.change, seed=number), number)
+        for mix in mixes(site, site.scenario.deployment.nominal_xy)
+        for number in (range(1, draws + 1) if mix.is_drawn else (0,))
     ]
-
-
-def _with_trucks(site: Site, share: float, seed: int) -> Site:
-    """The site with that share of lorries and buses among its vehicles: others turn into them, or they into cars."""
-    ids, first = np.unique(site.recording.vehicle_id, return_index=True)
-    kind = site.recording.class_index[first]
-    large = np.isin(kind, (TRUCK, BUS))
-    missing = round(share * len(ids)) - int(large.sum())
-    some = ids[large] if missing < 0 else ids[np.isin(kind, (CAR, VAN))]
-    changed = np.random.default_rng(seed).choice(some, min(abs(missing), len(some)), replace=False)
-    turned = partial(turned_into, ids=changed, kind=CAR if missing < 0 else TRUCK)
-    return with_traffic(site, turned, lambda gaps: gaps)
 
 
 # --- metric: the score with other constants, and other scores, of the same returns ------------------------------------

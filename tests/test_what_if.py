@@ -1,0 +1,125 @@
+"""Coverage under other traffic: lorries by lane, and what a run says of them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from blender_lidar.report.cautions import lorries_text, next_metre_text
+from blender_lidar.run.what_if import LORRY_SHARES, mixes, other_traffic, with_lorries
+from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.traffic.fleet import BUS, TRUCK
+from tests.small_scene import CASTER, MAPPED, done, traffic_rows, without_charts, write_scene, write_table
+
+
+@pytest.fixture(scope="module")
+def site():
+    """The shipped road of six lanes."""
+    changes = {("model", "caster"): CASTER, ("traffic", "frames"): 4, ("model", "workers"): 1}
+    return prepare(load_scenario("i80", {key: (value, "x") for key, value in changes.items()}))
+
+
+def kinds_by_lane(site):
+    """Number of vehicles and of lorries in each lane of the road map, (lanes, 2), over the searched frames."""
+    road, counts = site.scenario.road_map, np.zeros((len(site.scenario.road_map), 2))
+    for frame in site.search:
+        lane = road.locate(frame.vehicles.centre_m).lane
+        large = np.isin(frame.vehicles.class_index, (TRUCK, BUS))
+        for number in range(len(road)):
+            counts[number] += [(lane == number).sum(), (large & (lane == number)).sum()]
+    return counts
+
+
+@pytest.mark.parametrize("xy", [(0.0, 0.0), (0.0, 26.0)])
+@pytest.mark.parametrize("near", [1, 2, None])
+def test_lorries_drive_in_the_lanes_nearest_to_the_mast_alone(site, xy, near):
+    before, after = kinds_by_lane(site), kinds_by_lane(with_lorries(site, xy, near, 1.0, 1))
+    lanes = np.argsort(np.abs(site.scenario.road_map.offset_m - xy[1]))
+    chosen = lanes[:near]
+    assert after[chosen, 1].sum() >= 0.97 * after[chosen, 0].sum()  # but for motorcycles
+    others = np.setdiff1d(lanes, chosen)
+    np.testing.assert_array_equal(after[others], before[others])
+
+
+def test_a_share_of_lorries_is_that_share_of_the_lane_and_has_those_of_a_smaller_one(site):
+    found = {}
+    for share in (0.0, 0.3, 0.6):
+        changed = with_lorries(site, (0.0, 0.0), None, share, 3)
+        vehicles, large = kinds_by_lane(changed).sum(axis=0)
+        found[share] = {
+            (frame.vehicles.frame, int(one))
+            for frame in changed.search
+            for one in frame.vehicles.vehicle_id[frame.vehicles.class_index == TRUCK]
+        }
+        if share:
+            assert large / vehicles == pytest.approx(share, abs=0.08)
+    assert len(found[0.3] & found[0.6]) >= 0.8 * len(found[0.3])  # the rest were pushed out of reach
+
+
+def test_coverage_of_recorded_traffic_is_that_of_the_frames_and_the_same_again(site):
+    mounting = site.scenario.mounting({"height_m": 4.5, "tilt_x_deg": 23.0})
+    found = other_traffic(site, mounting)
+    assert found == other_traffic(site, mounting)
+    with Evaluator(site.holdout, site.observation, site.scoring) as evaluator:
+        share = evaluator.totals([(mounting,)]).detectable_share()[0]
+    assert found["frames"] == len(site.holdout)
+    assert found["recorded"]["detectable_share"] == pytest.approx(share, abs=0.02)  # without the searched vehicles
+    assert [mix["lorries"] for mix in found["mixes"][:9]] == 3 * list(LORRY_SHARES)
+    shares = {(mix["lanes"], mix["lorries"]): mix["detectable_share"] for mix in found["mixes"]}
+    assert shares["the nearest lane", 1.0] < found["recorded"]["detectable_share"] - 0.1
+    assert shares["every lane", 1.0] < shares["every lane", 0.1]
+    json.dumps(found)
+
+
+def test_a_road_of_two_lanes_has_its_near_lane_and_both(tmp_path):
+    site = prepare(load_scenario(write_scene(tmp_path)))
+    assert [mix.lanes for mix in mixes(site, (0.0, 0.0))] == [
+        *["the nearest lane"] * 3,
+        *["every lane"] * 3,
+        *[None] * 3,
+    ]
+
+
+def text_of(after=0.67, before=0.99, **repair):
+    row = {"interval_90": None, "boxes": 9}
+    lanes = {"lane 1": 1.0, "lane 2": 0.98}
+    whole = {**row, "detectable_share": before, "by_lane": lanes}
+    worst = {**row, "what": "", "lanes": "the nearest lane", "lorries": 1.0, "detectable_share": after}
+    worst["by_lane"] = {"lane 1": 0.95, "lane 2": 0.52}
+    told = {"height_m": 6.0, "within_bounds": True, "repairs": True, "detectable_share": 0.98, "other_side": None}
+    return lorries_text({"other_traffic": {"recorded": whole, "mixes": [worst], "repair": told | repair}})
+
+
+def test_the_line_names_the_lane_that_is_lost_and_what_repairs_it():
+    start = "If all vehicles of the nearest lane were lorries, 67 % would be detectable instead of 99 %, in lane 2 52 "
+    start += "instead of 98 %"
+    assert text_of() == f"{start}; a height of 6 m would bring it back (98 %)"
+    assert "a height of 6 m, above the allowed heights, would" in text_of(within_bounds=False)
+    lost = text_of(repairs=False, detectable_share=0.9, height_m=11.5, other_side=0.97)
+    assert lost.endswith(
+        "; no height up to 12 m brings it back (at best 90 %, at 11.5 m), and a pole on the other side of the road "
+        "would see 97 %"
+    )
+    assert "bring" not in text_of(after=0.98)
+
+
+def test_where_the_height_lies_on_its_bound_the_next_metre_is_told_on_terminal_and_sheet(tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    write_table(tmp_path / "traffic.csv", traffic_rows(vehicles=120))
+    low = {"deployment": {"height_m": [2.0, 2.6], "tilt_x_deg": [0.0, 25.0]}, "sensor": {"range_gate_m": 35.0}}
+    scene = write_scene(tmp_path, {**MAPPED, **low})
+    out, _ = done(capsys, "optimise", scene, "--out", tmp_path / "run")
+    result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
+    height, beyond = result["deployment"]["height_m"], result["next_metre"]
+    assert (beyond is not None) == (height >= 2.594)
+    if beyond is not None:
+        assert beyond["deployment"]["height_m"] == pytest.approx(height + 1.0)
+        said = next_metre_text(result)
+        sheet = " ".join((tmp_path / "run" / "installation.txt").read_text(encoding="utf-8").split())
+        assert said in " ".join(out.split())
+        assert said in sheet
+    assert lorries_text(result) in " ".join(out.split())
