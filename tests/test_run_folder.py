@@ -43,7 +43,7 @@ RESULT_KEYS = {
     *("objective", "holdout", "baseline", "evaluations", "seconds", "versions"),
     *SCORES,
 }
-CHARTS = ("convergence", "score_map", "by_distance", "blind_zones", "clouds", "occupancy")
+CHARTS = ("convergence", "score_map", "by_distance", "blind_zones", "clouds", "occupancy", "other_traffic")
 
 
 @pytest.fixture(scope="module")

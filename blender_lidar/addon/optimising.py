@@ -28,7 +28,7 @@ from ..commands.background import heard
 from ..compiled import within_blender
 from ..errors import InputError
 from ..metrics.catalogue import metric_named
-from ..report.summary import measured, percent
+from ..report.summary import judged, measured, percent
 from ..run.folder import RESULT
 from ..run.verdict import POINTS
 from ..scene.mounting import mounting_from
@@ -311,12 +311,12 @@ def found_lines(lidar: bpy.types.Object) -> list[str]:
 
 def result_lines(result: Mapping) -> list[str]:
     """The mounting of a result.json, and what is detectable and gained on the held-out traffic, in short lines."""
-    place, held, metric = result["deployment"], result["holdout"], metric_named(result["metric"])
+    place, (found, base, _), metric = result["deployment"], judged(result), metric_named(result["metric"])
     lines = [f"{place['height_m']:.2f} m, tilt {place['tilt_x_deg']:.1f}°"]
-    if held is None:
+    if found is result:
         return [*lines, "Nothing was held out."]
-    gain, within = measured(metric, held["gain_over_baseline"], held["interval_90"], "+")
-    lines.append(f"Detectable {percent(held)}, baseline {percent(result['baseline']['holdout'])}")
+    gain, within = measured(metric, found["gain_over_baseline"], found["interval_90"], "+")
+    lines.append(f"Detectable {percent(found)}, baseline {percent(base)}")
     return [*lines, f"Gain {gain} {metric.shown_unit}{f' ({within})' if within else ''}, in brackets 90 %"]
 
 

@@ -31,7 +31,7 @@ _DIGITS = {"m": 2, "deg": 1}
 
 def cautions(result: Mapping) -> list[str]:
     """What tolerance, search and map say about how far to trust the optimum, as sentences."""
-    notes = (costliest_text(result), _against_sharp(result), worst_text(result))
+    notes = (_crossed_text(result), costliest_text(result), _against_sharp(result), worst_text(result))
     found = [as_sentence(note) for note in (*notes, _undecided_by_threshold(result)) if note]
     if not was_searched(result):
         return found
@@ -121,6 +121,16 @@ def other_traffic_text(result: Mapping) -> str:
 def _share_with_interval(mix):
     share, around = measured(DETECTABLE, mix["detectable_share"], mix["interval_90"])
     return f"{share} %" + (f" ({around})" if around else "")
+
+
+def _crossed_text(result):
+    """What figures stand for where every block of time has judged."""
+    if not result.get("cross_fitted"):
+        return ""
+    return (
+        "fewer than six blocks of time are held out, so every block judged the best of the mountings tried without it "
+        "(cross-fitting): the figures are those of this way of choosing, and the mounting is that of the whole search"
+    )
 
 
 def _undecided_by_threshold(result):

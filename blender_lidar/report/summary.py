@@ -113,6 +113,8 @@ def place_text(mount: Mapping[str, float], *, leans: bool = False, pointing: Map
 
 def judged(result: Mapping) -> tuple[Mapping, Mapping, str]:
     """Scores of the mounting and of the baseline where they are judged, and what traffic that is."""
+    if (crossed := result.get("cross_fitted")) is not None:
+        return crossed["optimised"], crossed["baseline"], "traffic that did not choose it"
     if result["holdout"] is not None:
         return result["holdout"], result["baseline"]["holdout"], "held-out traffic"
     on = "the traffic that was used to choose the mounting" if was_searched(result) else "the scored traffic"
@@ -378,21 +380,19 @@ def _what_to_do(result):
 
 
 def _doubt(result):
-    """Why held-out traffic does not carry the advice to hang a LiDAR there; "" where it does."""
-    found, base, _ = judged(result)
-    ends = found.get("interval_90")
-    if result["holdout"] is None:
+    """Why the traffic that judges does not carry the advice to hang a LiDAR there; "" where it does."""
+    found, base, on = judged(result)
+    ends, on = found.get("interval_90"), f"{on[0].upper()}{on[1:]}"
+    if found is result:
         return "Nothing was held out, so this has no independent check"
     if ends is None:
         return "Too few blocks of time are held out for an interval"
     if ends[1] < 0.0 or _gain(found, base) < 0.0:
-        return "Held-out traffic does not confirm the search"
+        return f"{on} does not confirm the search"
     if ends[0] <= 0.0:
-        return "Held-out traffic does not show that this gains anything (the interval of the gain holds 0)"
+        return f"{on} does not show that this gains anything (the interval of the gain holds 0)"
     if found["blocks"] < FEW_BLOCKS:
-        return (
-            f"Held-out traffic is only {counted(found['blocks'], 'block')} of time, too few to be sure of an interval"
-        )
+        return f"{on} is only {counted(found['blocks'], 'block')} of time, too few to be sure of an interval"
     return ""
 
 
@@ -423,7 +423,7 @@ def _no_interval(result, found):
     """Why the detectable share has no interval; "" where it has one."""
     if found["detectable_share_interval_90"]:
         return ""
-    if result["holdout"] is None and was_searched(result):
+    if found is result and was_searched(result):
         return "; there is no interval, as the same traffic has chosen the mounting"
     if found["distinct_vehicles"] < FEW_VEHICLES:
         return f"; shares have no interval, as there are fewer than {FEW_VEHICLES} different vehicles"

@@ -14,7 +14,7 @@ from ..metrics.catalogue import DETECTABLE, metric_named
 from ..run.tolerance import tolerance_text
 from ..scene.mounting import ANGLES, COORDINATE_NAMES, LEANS
 from ..traffic.vehicles import counted
-from .summary import aim_text, frames_word, leans, measured, mounting_name, percent, share_texts, sharp_of
+from .summary import aim_text, frames_word, judged, leans, measured, mounting_name, percent, share_texts, sharp_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +70,10 @@ def _score_sections(result, compared, over=""):
         held = [scores["holdout"] for scores in compared]
         blocks = "" if over else f", {counted(held[-1]['blocks'], 'block')} of time"
         sections.append((f"Held-out frames{blocks}{over}", _score_rows(result, held, over)))
+    if result.get("cross_fitted") and not over:
+        crossed = [result["cross_fitted"][name] for name in ("baseline", "optimised")]
+        blocks = counted(crossed[0]["blocks"], "block")
+        sections.append((f"Each block of time judged without it, {blocks}", _score_rows(result, crossed, over)))
     return sections
 
 
@@ -115,7 +119,7 @@ def group_tables(result: Mapping) -> list[TextTable]:
     Before is the baseline, after the run's mounting, on the frames that judge it; "-" stands for a group that does not
     count in the objective.
     """
-    metric, on = metric_named(result["metric"]), "held-out" if result["holdout"] else frames_word(result)
+    metric, on = metric_named(result["metric"]), judged(result)[2]
     unit = "objective %" if metric.of_share else metric.unit or "objective"
     measures = [("", 3), ("detectable [%]", 6), (unit, 2)]
     columns = ["boxes", "vehicles", "before", "90 %", "after", "90 %", "points", "90 %", "before", "after"]
@@ -132,7 +136,7 @@ def group_tables(result: Mapping) -> list[TextTable]:
             cells += ["-" if mean is None else metric.number(mean, -1) for mean in means]
             rows.append((group["name"], *cells))
         head = [measures, [(f"by {by}", 1), *((text, 1) for text in columns)]]
-        tables.append(TextTable(f"By {by}, on {on} frames", head, [("", rows)]))
+        tables.append(TextTable(f"By {by}, on {on}", head, [("", rows)]))
     return tables
 
 

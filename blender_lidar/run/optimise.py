@@ -25,7 +25,7 @@ from ..scene.scenario import Scenario
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
-from ..statistics import best_intervals_90, block_sums, of_blocks
+from ..statistics import FEW_BLOCKS, FEWEST_BLOCKS, best_intervals_90, best_without_block, block_sums, of_blocks
 from .assumptions import assumptions, site_name
 from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, RunFolder
 from .replay import Listener, Replay
@@ -38,6 +38,7 @@ from .verdict import (
     ROBUST,
     ScoreMap,
     judge,
+    judge_cross_fitted,
     judge_over_tolerance,
     map_scores,
     map_verdict,
@@ -109,6 +110,8 @@ class _Found(NamedTuple):
         What several coordinates came to.
     polished : bool
         Whether a point of the map is where the answer was found.
+    without_block : sequence of Layout, b, or None
+        The best without each searched block, where too little is held out.
     """
 
     layouts: Mapping[str, Layout]
@@ -117,6 +120,7 @@ class _Found(NamedTuple):
     on_map: tuple[ScoreMap, Layout] | None = None
     spread: Mapping | None = None
     polished: bool = False
+    without_block: Sequence[Layout] | None = None
 
 
 def _search_space(site: Site, space: SearchSpace, evaluator: Evaluator, replay: Replay, listener: Listener) -> _Found:
@@ -140,7 +144,10 @@ def _search_space(site: Site, space: SearchSpace, evaluator: Evaluator, replay: 
     answer = (polish if polished else best).best_x
     sharp = space.layout(answer)
     layouts = {"optimised": sharp, BASELINE_NAME: (scenario.baseline,)}
-    spread = None
+    spread = without_block = None
+    if _cross_fits(site):
+        tried, sums = objective.by_block(searches[NOMINAL])
+        without_block = [space.layout(tried[row]) for row in best_without_block(sums)]
     if len(space.variables) > len(AXES) and scenario.search.fidelity != AUTO:
         spread = _spread(site, space, seeds, objective.by_block(searches[NOMINAL]), evaluator.weight, answer)
     if tolerance is not None:
@@ -151,7 +158,15 @@ def _search_space(site: Site, space: SearchSpace, evaluator: Evaluator, replay: 
         layouts["optimised"] = best_over_tolerance(evaluator, plans, tolerance)
         layouts[NOMINAL], searches[ROBUST] = sharp, [robust]
     on_map = None if score_map is None else (score_map, space.layout(_on_map(space, score_map, best.best_x)))
-    return _Found(layouts, searches, space, on_map, spread, polished)
+    return _Found(layouts, searches, space, on_map, spread, polished, without_block)
+
+
+def _cross_fits(site: Site) -> bool:
+    """Whether too few blocks of time are held out, and those searched can judge as well."""
+    scenario, plan = site.scenario, site.plan
+    held_out = {int(one) for one, frame in zip(plan.holdout_block, site.holdout, strict=True) if frame.counted.any()}
+    able = scenario.objective.tolerance is None and not scenario.deployment.poles and scenario.search.fidelity != AUTO
+    return able and len(held_out) < FEW_BLOCKS and len(np.unique(plan.search_block)) >= FEWEST_BLOCKS
 
 
 def _on_map(space: SearchSpace, score_map: ScoreMap, x: Sequence[float]) -> list[float]:
@@ -343,7 +358,7 @@ def _conclude(
     `poles` are all candidate places, ranked, of which `found` is the first, on its `pole`; `others` is how many
     evaluations were made on the others.
     """
-    layouts, searches, space, on_map, spread, polished = found
+    layouts, searches, space, on_map, spread, polished, without_block = found
     scenario, metric, seed = site.scenario, metric_named(site.scoring.metric), site.scenario.search.seed
     for name, parts in zip((HISTORY, HISTORY_NOMINAL), reversed(searches.values()), strict=False):
         history = joined_history([search.history for search in parts])
@@ -359,6 +374,10 @@ def _conclude(
     folder.write_vehicles(tables["optimised"], tables[BASELINE_NAME])
     verdict = judge(site, judged, evaluator, seed)
     groups = add_shares(site, verdict, tables, None if searches else seed)
+    crossed = None
+    if without_block is not None:
+        crossed, boxes = judge_cross_fitted(site, evaluator, layouts, without_block, tables)
+        groups = boxes.groups(site)
     evaluations = {name: sum(len(search.history) for search in parts) for name, parts in searches.items()}
     tolerance = scenario.objective.tolerance
     over_tolerance = (
@@ -410,6 +429,7 @@ def _conclude(
         **verdict["optimised"],
         "groups": groups,
         "baseline": {"deployment": scenario.baseline.as_table(), **verdict[BASELINE_NAME]},
+        "cross_fitted": crossed,
         "tolerance": over_tolerance,
         "next_metre": next_metre(site, evaluator, space, layouts["optimised"][0]) if searches else None,
         "other_traffic": other_traffic(site, layouts["optimised"][0]),

@@ -18,6 +18,7 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..statistics import block_sums, drawn_blocks, interval_90, many_to_one_reach_90, of_blocks
 from .tolerance import Judged, ToleranceLosses, judged_rows, losses_over_tolerance
+from .vehicle_table import BoxShares, vehicle_tables
 
 REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
 BASELINE_NAME = "baseline"
@@ -80,6 +81,78 @@ def _by_recording(
                 row["holdout"] = {**own.scores(), **own.gain_over(base, seed)}
         rows.append(row)
     return rows
+
+
+def judge_cross_fitted(
+    site: Site,
+    evaluator: Evaluator,
+    layouts: Mapping[str, Layout],
+    without_block: Sequence[Layout],
+    tables: Mapping[str, Mapping[str, np.ndarray]],
+) -> tuple[dict[str, dict], BoxShares]:
+    """Cross-fitting: every block of time judges a mounting that was chosen without it (Chernozhukov et al. 2018).
+
+    Held-out blocks judge the answer, and each searched block the best of the mountings that were tried without it. So
+    the figures are those of the way of choosing: the answer itself was chosen with more traffic.
+
+    Parameters
+    ----------
+    layouts, tables : mapping
+        The ``"optimised"`` layout and the ``"baseline"``, and their vehicle tables on both splits.
+    without_block : sequence of Layout, b
+        What is best without each searched block, in their order.
+
+    Returns
+    -------
+    dict
+        For both names what `judge` has as ``holdout``, of all boxes that judge.
+    BoxShares
+        Of all boxes that judge.
+    """
+    plan, seed = site.plan, site.scenario.search.seed
+    distinct = list(dict.fromkeys(without_block))
+    own = np.array([distinct.index(one) for one in without_block])
+    of_frame = own[np.unique(plan.search_block, return_inverse=True)[1]]
+    block = np.concatenate([plan.search_block, plan.search_block.max() + 1 + plan.holdout_block])
+    recording = np.concatenate([plan.search_recording, plan.holdout_recording])
+    searched = evaluator.totals([*distinct, layouts[BASELINE_NAME]])
+    held_out = evaluator.held_out.totals([layouts["optimised"], layouts[BASELINE_NAME]])
+
+    def judged(row: np.ndarray, held: int) -> Judged:
+        at = row, np.arange(len(of_frame))
+        objective, detectable = (
+            np.concatenate([getattr(searched, name)[at], getattr(held_out, name)[held]])[None]
+            for name in ("objective", "detectable")
+        )
+        sizes = (
+            np.concatenate([getattr(one, name) for one in (searched, held_out)]) for name in ("vehicles", "weight")
+        )
+        return Judged(
+            searched._replace(
+                **dict(zip(("vehicles", "weight"), sizes, strict=True)), objective=objective, detectable=detectable
+            ),
+            block,
+            recording=recording,
+        )
+
+    mounting, base = judged(of_frame, 0), judged(np.full(len(of_frame), len(distinct)), 1)
+    found = vehicle_tables(distinct, search=evaluator)
+    at = np.searchsorted(plan.search, found[0]["frame"])
+    rows = of_frame[at], np.arange(len(at))
+    held = tables["optimised"]["split"] == "holdout"
+    after = {
+        key: np.concatenate([np.stack([one[key] for one in found])[rows], values[held]])
+        for key, values in tables["optimised"].items()
+    }
+    in_held = len(plan.search) + np.searchsorted(plan.holdout, tables["optimised"]["frame"][held])
+    of_box = np.concatenate([at, in_held])
+    shares = BoxShares(tables[BASELINE_NAME], after, block[of_box], recording[of_box], seed)
+    own_shares = BoxShares(tables[BASELINE_NAME], tables[BASELINE_NAME], block[of_box], recording[of_box], seed)
+    size = {"vehicles": len(of_box), "frames": len(block), "blocks": int((mounting.block_weight > 0).sum())}
+    return {
+        name: {**one.scores(), **one.gain_over(base, seed), **size, **boxes.share_scores()}
+        for name, one, boxes in (("optimised", mounting, shares), (BASELINE_NAME, base, own_shares))
+    }, shares
 
 
 def judge_over_tolerance(site: Site, layouts: Mapping[str, Layout], evaluator: Evaluator, seed: int) -> dict[str, dict]:

@@ -17,7 +17,7 @@ from ..metrics.metric import Metric
 from ..run.tolerance import LOW_SHARE, tolerance_text
 from ..scene.mounting import COORDINATE_NAMES
 from ..scene.settings import Tolerance
-from ..statistics import FEW_BLOCKS, FEW_VEHICLES, FEWEST_BLOCKS, block_sums, interval_90, student_t_95
+from ..statistics import FEW_VEHICLES, FEWEST_BLOCKS, best_without_block, block_sums, interval_90, student_t_95
 from .candidates import BASELINE, FIRST, Candidates
 from .driver import Landscape, percent
 from .effects import Lost, chosen_shares, searched_weights, share_lost
@@ -243,16 +243,9 @@ def best_row(landscape: Landscape, frames: np.ndarray | slice = slice(None)) -> 
 
 
 def cross_fitted(landscape: Landscape, block: np.ndarray) -> np.ndarray:
-    """Cross-fitting: for each frame the row that is best on the blocks of time that do not judge it, (f,).
-
-    With six blocks or more a block's neighbours do not choose for it either, as some of its vehicles are in them
-    (h-block cross-validation: Burman, Chow and Nolan 1994).
-    """
-    sums = block_sums(landscape.objective[FIRST:], block)
-    number = np.arange(sums.shape[1])
-    aside = 1 if len(number) >= FEW_BLOCKS else 0
-    others = sums @ (np.abs(number[:, None] - number) > aside)
-    return FIRST + np.argmax(others, axis=0)[np.unique(block, return_inverse=True)[1]]
+    """Cross-fitting: for each frame the row that is best on the blocks of time that do not judge it, (f,)."""
+    best = best_without_block(block_sums(landscape.objective[FIRST:], block))
+    return FIRST + best[np.unique(block, return_inverse=True)[1]]
 
 
 def likely_rivals(landscape: Landscape, block: np.ndarray, seed: int) -> list[int]:
