@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, METRIC_NAMES, VIEWS
 from ..scene.settings import TrafficSettings
 from ..toml_table import setting, settings_of
-from .options import SEARCH_OPTIONS, add_moments, add_option, add_options, add_pose, add_scene
+from .options import SEARCH_OPTIONS, Once, add_moments, add_option, add_options, add_pose, add_scene
 
 SUSTECHPOINTS = "sustechpoints"
 _CLOUD_FORMATS = [*(suffix.removeprefix(".") for suffix in CLOUD_SUFFIXES), SUSTECHPOINTS]
@@ -23,6 +23,7 @@ def add_verbs(subparsers) -> None:
         _init,
         _optimise,
         _evaluate,
+        _table,
         _stability,
         _chart,
         _scan,
@@ -137,6 +138,29 @@ def _evaluate(subparsers) -> None:
     add_scene(parser, leave_out=SEARCH_OPTIONS)
     add_pose(parser)
     _detector(parser)
+    _output(parser)
+
+
+def _table(subparsers) -> None:
+    parser = _verb(
+        subparsers,
+        "table SCENE.toml --setback METRES --height METRES",
+        "best tilt and detectable share by setback and height",
+        "Tabulate the best tilt and the detectable share of the held-out vehicles for masts at several setbacks from "
+        "the road's edge and LiDARs at several heights, one table for each sensor.",
+        "i80 --setback 2:10:2 --height 3,4.5,6,8",
+        "i80 --setback 2,6 --height 4.5 --sensor RS-16,RS-80",
+    )
+    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--tolerance", "--sensor"))
+    group = parser.add_argument_group("table")
+    values = "metres: 3,4.5,6, or a range 2:10:2, its end included"
+    for option, dest, what in (
+        ("--setback", "setback", "from the road's edge"),
+        ("--height", "heights", "of the LiDAR"),
+    ):
+        group.add_argument(option, dest=dest, required=True, action=Once, metavar="METRES", help=f"{what}, in {values}")
+    names = "models or beam tables, divided by commas (default: the scene's)"
+    group.add_argument("--sensor", action=Once, dest="sensors", metavar="NAMES", help=names)
     _output(parser)
 
 

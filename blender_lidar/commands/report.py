@@ -113,12 +113,12 @@ def outcome_text(run: RunFolder, where: str) -> str:
     warnings = [*cautions(result), *map(as_sentence, (*result["notes"], *result["traffic_report"]["notes"]))]
     first = [*warnings_text(result), answer(result)]
     assumed = [where_text(result), *(f"Assumed: {text}" for text in assumed_texts(result))]
-    other = _filled([f"{text}." for text in (lorries_text(result), other_traffic_text(result)) if text])
-    parts = [_filled(first), other, _filled(assumed), _filled(meant), *tables, where, _filled(warnings)]
+    other = filled([f"{text}." for text in (lorries_text(result), other_traffic_text(result)) if text])
+    parts = [filled(first), other, filled(assumed), filled(meant), *tables, where, filled(warnings)]
     return "\n\n".join(part for part in parts if part)
 
 
-def _filled(sentences: Sequence[str]) -> str:
+def filled(sentences: Sequence[str]) -> str:
     """Sentences, each on lines of its own that fit the terminal."""
     width = min(shutil.get_terminal_size((_NOTE_WIDTH, 24)).columns, _NOTE_WIDTH)
     return "\n".join(textwrap.fill(sentence, width, break_on_hyphens=False) for sentence in dict.fromkeys(sentences))

@@ -209,11 +209,9 @@ def report_html(run: RunFolder) -> str:
     MissingFileError, InputError
         When a file of the folder is missing or damaged; the text names it.
     """
-    style = Markup(_STYLE.read_text(encoding="utf-8"))
     with refused_by_name(run.file(RESULT)):
         title = f"{run.result['site']}: {run.result['sensor']} mounting"
-        body = element(
-            "main",
+        content = (
             _heading(run),
             _pictures("The scene", render_figures(run)),
             _scores(run),
@@ -225,9 +223,16 @@ def report_html(run: RunFolder) -> str:
             _section("Installation sheet", *sheet_markup(run.read_text(INSTALLATION)), class_="sheet"),
             _settings(run),
         )
+    return page_html(title, *content)
+
+
+def page_html(title: str, *content: object) -> str:
+    """A whole page that needs no network."""
     metas = (element("meta", **attributes) for attributes in _METAS)
+    style = Markup(_STYLE.read_text(encoding="utf-8"))
     head = element("head", *metas, element("title", title), element("style", style))
-    return f'<!DOCTYPE html>\n<html lang="en">\n{head}\n{element("body", body)}\n</html>\n'
+    body = element("body", element("main", *content))
+    return f'<!DOCTYPE html>\n<html lang="en">\n{head}\n{body}\n</html>\n'
 
 
 def _heading(run: RunFolder):

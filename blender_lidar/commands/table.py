@@ -1,0 +1,180 @@
+"""blender-lidar table: best tilt and detectable share by setback and height, as manuals of roadside radars have it."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..files import folder_lock, to_csv, write_text
+from ..metrics.catalogue import DETECTABLE
+from ..report.html import element
+from ..report.page import page_html, table_markup
+from ..report.summary import boxes_text, measured
+from ..report.tables import TextTable, table_text
+from ..run.assumptions import assumptions, site_name
+from ..run.vehicle_table import BoxShares, vehicle_tables
+from ..scene.mounting import Mounting, changed_mounting, mast_at
+from ..scene.scenario import Scenario
+from ..scene.site import Site, prepare
+from ..scoring.evaluation import site_evaluator
+from ..studies.candidates import check_one_place
+from .options import default_folder, scenario_from
+from .progress import Progress
+from .report import describe_site, filled, say, say_result
+
+_MOST = 40  # values of a range
+_HIGHEST_M, _FARTHEST_M = 30.0, 60.0
+_TILTS = 26  # of a grid over the searched tilts: whole degrees over the paper's range
+_AS_GOOD = "~"
+_HOW_TO_READ = (
+    "Each cell: the detectable share of the boxes that judge with its 90 % interval, and the best tilt, which the "
+    f"searched frames have chosen. {_AS_GOOD} marks what is not shown to be worse than the best cell, the one that is "
+    "best on the searched frames: the 90 % interval of the difference reaches 0."
+)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry it out; returns the exit code."""
+    setbacks = parse_range(args.setback, "--setback", _FARTHEST_M)
+    heights = parse_range(args.heights, "--height", _HIGHEST_M)
+    scenario = scenario_from(args)
+    check_one_place(scenario)
+    folder = Path(args.out or default_folder(scenario, "table"))
+    if folder.exists() and any(folder.iterdir()):
+        raise InputError(f"--out: {folder}: is not empty; allowed: a new folder")
+    names = args.sensors.split(",") if args.sensors else [scenario.sensor.name]
+    scenarios = [scenario_from(_with_sensor(args, name)) for name in names]
+    mounts = [[mounting_at(one, setback, height) for setback in setbacks for height in heights] for one in scenarios]
+    with folder_lock(folder):
+        rows, tables, notes = [], [], []
+        for one, mountings in zip(scenarios, mounts, strict=True):
+            site = prepare(one, mountings)
+            say(args, describe_site(site, searched=False) + "\n")
+            cells, about = _cells(site, setbacks, heights)
+            rows += [{"sensor": site.model.name, **cell} for cell in cells]
+            tables.append(_text_table(site, cells, setbacks, heights))
+            notes += [f"{site.model.name}: {text}." for text in about]
+        title = f"{site_name(scenario)}: detectable vehicles by setback and height"
+        lines = [_HOW_TO_READ, *dict.fromkeys(notes)]
+        columns = list(rows[0])
+        write_text(folder / "table.csv", to_csv(columns, [[_cell(row[key]) for key in columns] for row in rows]))
+        body = [element("h1", title), *map(table_markup, tables), *(element("p", line) for line in lines)]
+        write_text(folder / "table.html", page_html(title, *body))
+    text = "\n\n".join([title, *map(table_text, tables), filled(lines)])
+    return say_result(args, f"{text}\n\nResults in {folder}: table.html, table.csv", {"cells": rows})
+
+
+def parse_range(text: str, option: str, most: float) -> list[float]:
+    """Numbers from "3,4.5,6" or "2:10:2", the end of a range included, or both mixed; each once, rising.
+
+    Raises
+    ------
+    InputError
+        When it is none of these, or a number is not above 0 up to `most`.
+    """
+    found: list[float] = []
+    for part in text.split(","):
+        try:
+            first, *more = (float(number) for number in part.split(":"))
+            last, step = (more or [first, 1.0]) if len(more) != 1 else (math.nan, 0.0)
+            count = math.floor((last - first) / step + 1e-9) + 1 if step > 0.0 and math.isfinite(last - first) else 0
+        except ValueError:
+            count, first = 0, math.nan
+        if not 1 <= count <= _MOST or not 0.0 < first <= last <= most:
+            raise InputError(
+                f"{option}: {part!r}; allowed: metres above 0 up to {most:g}, such as 3,4.5,6 or a range 2:10:2, not "
+                f"more than {_MOST}"
+            )
+        found += [round(first + number * step, 6) for number in range(count)]
+    return sorted(set(found))
+
+
+def mounting_at(scenario: Scenario, setback_m: float, height_m: float) -> Mounting:
+    """The baseline at another setback from the road's edge and another height, on the side where the mast stands.
+
+    Raises
+    ------
+    InputError
+        Where the mast of the scene stands over the lanes or between them.
+    """
+    road, xy = scenario.road_map, scenario.deployment.nominal_xy
+    side = scenario.road.side_of(xy)
+    if side not in ("right", "left"):
+        raise InputError(f"--setback: the scene's mast stands over or between lanes ({side}); allowed: beside the road")
+    right, left = road.edges_t
+    across = right - setback_m if side == "right" else left + setback_m
+    x_m, y_m = road.at(float(road.locate(np.array([xy])).s_m[0]), across).tolist()
+    facing = math.radians(scenario.deployment.facing_at((x_m, y_m)))
+    return replace(scenario.baseline, mast=mast_at(road, x_m, y_m, facing), height_m=height_m)
+
+
+def _with_sensor(args: argparse.Namespace, name: str) -> argparse.Namespace:
+    left_out = tuple(option for option in args.left_out if option != "--sensor")
+    return argparse.Namespace(**{**vars(args), "sensor": name.strip(), "left_out": left_out})
+
+
+def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> tuple[list[dict], list[str]]:
+    """Each setback and height with its best tilt, what is detectable there, and whether the best cell is better."""
+    scenario, road = site.scenario, site.scenario.road_map
+    axis = scenario.deployment.spaces[0].axes[1]
+    low, high = scenario.deployment.spaces[0].places[0].bounds.get(axis, (None, None))
+    places = [(setback, height) for setback in setbacks for height in heights]
+    hung, worth = [], []
+    progress = closing(Progress(len(places), "places"))
+    with site_evaluator(site, site.search, site.holdout) as evaluator, progress as shown:
+        for setback, height in places:
+            plain = mounting_at(scenario, setback, height)
+            tilts = [plain.as_table()[axis]] if low is None else np.linspace(low, high, _TILTS).round(9).tolist()
+            tried = [(changed_mounting(plain, road, **{axis: tilt}),) for tilt in tilts]
+            objective = evaluator.totals(tried).objective.sum(axis=1)
+            hung.append((tried[int(np.argmax(objective))], tilts[int(np.argmax(objective))]))
+            worth.append(objective.max())
+            shown.advance(1)
+        split = "holdout" if evaluator.held_out.weight.sum() else "search"
+        judging = {split: evaluator.held_out if split == "holdout" else evaluator}
+        tables = vehicle_tables([layout for layout, _ in hung], **judging)
+    best, seed = tables[int(np.argmax(worth))], scenario.search.seed if split == "holdout" else None
+    cells = []
+    for (setback, height), (_, tilt), table in zip(places, hung, tables, strict=True):
+        shares = BoxShares.of_split(best, table, split, site.plan, seed).shares()
+        ends = shares["gain_interval_90"]
+        cell = {"setback_m": setback, "height_m": height, axis: tilt, "detectable_share": shares["after"]}
+        cell["detectable_share_interval_90"] = shares["after_interval_90"]
+        cell |= {key: shares[key] for key in ("boxes", "distinct_vehicles")}
+        cell |= {"difference_to_best": shares["gain"], "difference_interval_90": ends}
+        cells.append(cell | {"as_good": None if ends is None else bool(ends[1] >= 0.0)})
+    on = "held-out" if split == "holdout" else "the searched frames', so without intervals"
+    about = [f"{boxes_text(cells[0])}, {on}"]
+    if lowest := [cell for cell in cells if cell["as_good"]]:
+        least = min(lowest, key=lambda cell: (cell["height_m"], cell["setback_m"]))
+        about.append(
+            f"{least['height_m']:g} m at a setback of {least['setback_m']:g} m is the least height that is not shown "
+            "to be worse than the best cell"
+        )
+    return cells, [*about, *assumptions(site, best)]
+
+
+def _text_table(site: Site, cells: Sequence[Mapping], setbacks: Sequence[float], heights: Sequence[float]) -> TextTable:
+    axis, found = site.scenario.deployment.spaces[0].axes[1], iter(cells)
+    rows = []
+    for setback in setbacks:
+        texts = []
+        for cell in (next(found) for _ in heights):
+            share, ends = measured(DETECTABLE, cell["detectable_share"], cell["detectable_share_interval_90"])
+            mark = _AS_GOOD if cell["as_good"] else ""
+            texts.append(f"{mark}{share}{f' ({ends})' if ends else ''} % at {cell[axis]:.0f}°")
+        rows.append((f"{setback:g} m", *texts))
+    what = axis.split("_")[0]
+    head = [[(f"{site.model.name}, setback", 1), *((f"hung at {height:g} m", 1) for height in heights)]]
+    return TextTable(f"{site.model.name}: detectable share, best {what}", head, [("", rows)])
+
+
+def _cell(value: object) -> object:
+    return " to ".join(f"{end:.4f}" for end in value) if isinstance(value, list) else value
