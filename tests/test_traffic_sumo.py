@@ -86,8 +86,9 @@ def test_boxes_stand_on_the_flat_road_and_a_note_says_so_where_it_is_not_flat(tm
     flat = read_traffic(write(tmp_path, [samples.row(z=7.0), samples.row(0.1, z=7.05)]))
     hilly = read_traffic(write(tmp_path, [samples.row(z=7.0), samples.row(0.1, z=9.5)]))
     assert flat.centre_m[:, 2].tolist() == hilly.centre_m[:, 2].tolist() == [0.75, 0.75]
-    assert "z from 7.0 to 9.5 m is not used: all vehicles stand on the plane of [road]" in hilly.report.notes
-    assert not any(note.startswith("z ") for note in flat.report.notes)
+    said = "Ground: z from 7.0 to 9.5 m checks the grade alone; vehicles stand on the plane of [road]"
+    assert said in hilly.report.assumed
+    assert not any(text.startswith("Ground") for text in flat.report.assumed)
 
 
 # --- one recording, many files ----------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from ..files import check_folder, check_unused, make_folder, write_text
 from ..names import SIDES, TRAFFIC_FORMATS
 from ..report.site_plan import plot_site_plan, road_text
 from ..road.straight import StraightRoad, road_map
+from ..scene.place_checks import grades_percent
 from ..scene.plausibility import checked_recording
 from ..scene.scenario import load_scenario, shipped_scenes
 from ..scene.settings import TrafficSettings
@@ -69,6 +70,7 @@ def _check_plausible(recording: Recording, layout: RoadLayout, scene: Path) -> N
     centre = recording.centre_m.copy()
     centre[:, :2] = layout.placing.points(centre[:, :2])
     placed = replace(recording, centre_m=centre, heading_rad=layout.placing.headings(recording.heading_rad))
+    placed = replace(placed, report=replace(recording.report, ground=_ground(recording, layout)))
     try:
         checked = checked_recording(placed, load_scenario(scene))
     except InputError as error:
@@ -76,6 +78,12 @@ def _check_plausible(recording: Recording, layout: RoadLayout, scene: Path) -> N
         return
     for note in checked.report.notes[len(recording.report.notes) :]:
         print(f"blender-lidar: note: {note}", file=sys.stderr)
+
+
+def _ground(recording: Recording, layout: RoadLayout) -> np.ndarray:
+    """The ground under the vehicles in the road frame, (n, 3) [m]."""
+    ground = recording.report.ground
+    return np.column_stack([layout.placing.points(ground[:, :2]), ground[:, 2]])
 
 
 def _source(args: argparse.Namespace) -> tuple[str, Path]:
@@ -133,6 +141,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         "# holdout = 0.4  # share of the recording, at its end, that is held out as a check",
         "",
         *_road_lines(layout, kind),
+        *_grade_lines(grades_percent(_ground(recording, layout), 0.5 * (low + high))),
         "",
         "# Where vehicles count, the same for every mounting: all lanes from one x to another. Or a circle,",
         "# centre_m = [0.0, 0.0] with radius_m = 50.0, or an outline, polygon_m = [[x, y], [x, y], [x, y]].",
@@ -205,6 +214,11 @@ def _road_lines(layout: RoadLayout, kind: str) -> list[str]:
         f"lanes = {road.lanes}  # centres measured at y {centres} m{numbers}; add those that nobody used",
         f"lane_width_m = {road.lane_width_m}  # {apart or 'usual; it cannot be measured from one lane'}",
     ]
+
+
+def _grade_lines(grades: tuple[float, float] | None) -> list[str]:
+    mean = 0.0 if grades is None else round(0.5 * sum(grades), 1)
+    return [f"grade_percent = {mean}  # how the file's heights rise along x about the region"] if mean else []
 
 
 def _side_lines(road: StraightRoad) -> list[str]:

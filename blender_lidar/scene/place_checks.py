@@ -273,3 +273,47 @@ def nobody_there(recording: Recording, region: Region, frames: int, scenario: Sc
 def _span(name: str, values: np.ndarray) -> str:
     low, high = np.quantile(values, [0.05, 0.95]) + 0.0
     return f"{name} {low:.0f} to {high:.0f} m"
+
+
+# --- How the ground rises, where the recording says so ----------------------------------------------------------------
+
+
+def known_grades(recording: Recording, scenario: Scenario) -> tuple[float, float] | None:
+    """`grades_percent` of a recording about the region's middle."""
+    return grades_percent(recording.report.ground, region_of(scenario.region, scenario.road_map).centre_xy[0])
+
+
+def grades_percent(ground: np.ndarray, middle_m: float) -> tuple[float, float] | None:
+    """How the ground (n, 3) rises along x before a place and beyond it [%], by least squares.
+
+    From what lies within `usual.GROUND_M` along the road and `usual.BESIDE_M` beside it; None where that is too little.
+    """
+    found = []
+    for side in (-1.0, 1.0):
+        along = side * (ground[:, 0] - middle_m)
+        near = ground[(along >= 0.0) & (along <= usual.GROUND_M) & (np.abs(ground[:, 1]) <= usual.BESIDE_M)]
+        if len(near) < usual.FEWEST or np.ptp(near[:, 0]) < 0.3 * usual.GROUND_M:
+            return None
+        found.append(100.0 * float(np.polyfit(near[:, 0], near[:, 2], 1)[0]))
+    return found[0], found[1]
+
+
+def grade(recording: Recording, scenario: Scenario) -> str | None:
+    """A ground that rises otherwise than [road] grade_percent says, or has a crest or a dip."""
+    known, said = known_grades(recording, scenario), scenario.road.grade_percent
+    if known is None:
+        return None
+    before, beyond = known
+    if abs(beyond - before) > 2.0 * usual.GRADE_PERCENT:
+        what = "crest" if beyond < before else "dip"
+        return (
+            f"the file's heights make a {what} at the region, from {before:+.1f} to {beyond:+.1f} % along x, and a "
+            "road here is one plane; choose another place, or a shorter [region]"
+        )
+    measured = 0.5 * (before + beyond)
+    if abs(measured - said) > usual.GRADE_PERCENT:
+        return (
+            f"the file's heights rise by {measured:+.1f} % along x, and [road] grade_percent says {said:g}; probably "
+            f"it should be {measured:.1f}"
+        )
+    return None

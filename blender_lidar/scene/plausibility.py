@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..traffic.vehicles import CLASSES, Recording
 from . import usual
 from .motion_checks import Tracks, headings, jumps, time_step, track_notes
-from .place_checks import Placed, carriageway, overlaps, place_notes
+from .place_checks import Placed, carriageway, grade, known_grades, overlaps, place_notes
 from .scenario import Scenario
 
 
@@ -54,6 +54,7 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
     InputError
         In one line what was seen, what is usual and what is probably meant, for the first that is not accepted.
     """
+    recording = _on_plane(recording, scenario)
     seen = _Seen(recording, scenario)
     for name, check in _CHECKS.items():
         if name in ("tracks", "overlaps") and seen.warnings:
@@ -67,6 +68,17 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
     notes += place_notes(recording, scenario, seen.placed, "carriageway" in seen.warnings)
     report = replace(recording.report, warnings=tuple(seen.warnings.items()), notes=tuple(notes))
     return replace(recording, report=report)
+
+
+def _on_plane(recording: Recording, scenario: Scenario) -> Recording:
+    """The boxes on the road's plane, where the heights that a table has are those of its grade."""
+    known = known_grades(recording, scenario)
+    raised = np.ptp(recording.centre_m[:, 2] - 0.5 * recording.size_m[:, 2]) > 0.0
+    if known is None or not raised or scenario.road.is_level or grade(recording, scenario):
+        return recording
+    centre = recording.centre_m.copy()
+    centre[:, 2] = 0.5 * recording.size_m[:, 2]
+    return recording.with_columns(centre_m=centre)
 
 
 # --- Checks of sizes: what each has seen, and what is probably meant; nothing where all may be true ---------------
@@ -148,6 +160,7 @@ def _size_notes(seen: _Seen) -> Iterator[str]:
 
 
 _CHECKS: dict[str, Callable[[_Seen], str | None]] = {  # as `names.WARNINGS`: causes before what comes of them
+    "grade": lambda seen: grade(seen.recording, seen.scenario),
     "sizes": _sizes,
     "time-step": lambda seen: time_step(seen.tracks),
     "tracks": lambda seen: jumps(seen.recording, seen.tracks),

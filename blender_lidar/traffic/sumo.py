@@ -31,11 +31,10 @@ from .source import (
 )
 from .sumo_types import read_types, start_tags, types_of
 from .tracks import drop_repeats
-from .vehicles import CLASSES, Placing, Recording, RepairReport
+from .vehicles import CLASSES, Placing, Recording, RepairReport, ground_of
 
 _LANE = re.compile(".*_([0-9]{1,5})", re.DOTALL)
 _LARGEST_LANE = 2**15 - 2
-_FLAT_WITHIN_M = 0.1
 _WITHIN_DEGREES = 1.0  # 111 km: no scene is as large; in metres, no traffic is as small
 
 
@@ -87,9 +86,6 @@ def read_sumo(
         notes.append(f"rows of vehicles on no road: {counts}")
     vehicle_id, numbered = vehicle_numbers(names["id"])
     notes += numbered
-    z = rows["z"][~np.isnan(rows["z"])]
-    if len(z) and np.ptp(z) > _FLAT_WITHIN_M:
-        notes.append(f"z from {z.min():.1f} to {z.max():.1f} m is not used: all vehicles stand on the plane of [road]")
     rows, frame = {name: column[kept[on_road]] for name, column in rows.items()}, frame[kept[on_road]]
     size = np.array([kind.size_m for kind in types])[rows["type"]]
     class_index = np.array([CLASSES.index(kind.class_name or "car") for kind in types])[rows["type"]]
@@ -98,6 +94,7 @@ def read_sumo(
     placing = Placing(origin_m or (0.0, 0.0), heading_deg or 0.0)
     # SUMO records the front centre.
     centre = placing.points(np.column_stack([rows["x"], rows["y"]]) - size[:, :1] / 2 * forward)
+    ground = ground_of(centre, rows["z"])
     return Recording.from_rows(
         frame=frame,
         time_s=rows["time"] / 1000,
@@ -116,9 +113,18 @@ def read_sumo(
             repeated=repeated,
             left_out=report.left_out + strangers.total(),
             notes=tuple(notes),
-            assumed=tuple(assumed),
+            assumed=(*assumed, *_not_used(ground)),
+            ground=ground,
         ),
     )
+
+
+def _not_used(ground: np.ndarray) -> list[str]:
+    """What becomes of heights that are not all alike."""
+    if not len(ground):
+        return []
+    low, high = ground[:, 2].min(), ground[:, 2].max()
+    return [f"Ground: z from {low:.1f} to {high:.1f} m checks the grade alone; vehicles stand on the plane of [road]"]
 
 
 def kind_of_fcd(path: str | Path) -> str | None:

@@ -33,7 +33,7 @@ from ..files import number
 from .header import TableLayout, header_names, laid_out
 from .source import Column, Rows, first_lines, quoted, read_rows, vehicle_ids, vehicle_numbers
 from .tracks import drop_repeats
-from .vehicles import CLASSES, Placing, Recording, RepairReport
+from .vehicles import CLASSES, Placing, Recording, RepairReport, ground_of
 
 _LENGTHS = ("length_m", "width_m", "height_m")
 OPTIONAL = ("z_m", "time_s", "lane")
@@ -112,7 +112,13 @@ def read_table(
         time_step_s=step_s,
         source=str(path),
         report=RepairReport(
-            rows_read, len(kept), duplicates=duplicates, repeated=repeated, notes=tuple(numbering), assumed=assumed
+            rows_read,
+            len(kept),
+            duplicates=duplicates,
+            repeated=repeated,
+            notes=tuple(numbering),
+            assumed=assumed,
+            ground=ground_of(plane, columns.get("z_m", columns["height_m"] / 2) - columns["height_m"] / 2),
         ),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -48,6 +48,8 @@ class RepairReport:
         What the recording does not say and was assumed, as sentences.
     warnings : tuple of (str, str)
         What cannot be true and was accepted: its name, and what was seen.
+    ground : ndarray, (n, 3)
+        A sample of places where vehicles stand and how high, as the file has it [m, road frame]; none where it is flat.
     """
 
     rows_read: int = 0
@@ -68,6 +70,7 @@ class RepairReport:
     notes: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     warnings: tuple[tuple[str, str], ...] = ()
+    ground: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)), compare=False)
 
     def lines(self, *, losses: bool = False) -> list[str]:
         """A few lines for a person: only what happened; names from the file are made printable.
@@ -100,9 +103,9 @@ class RepairReport:
 
     def as_dict(self) -> dict[str, object]:
         """All counts, for a result file, which holds the warnings by themselves."""
-        found = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
-        del found["warnings"], found["assumed"]
-        return found
+        named = {one.name: getattr(self, one.name) for one in fields(self)}
+        kept = {name: value for name, value in named.items() if name not in ("warnings", "assumed", "ground")}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in kept.items()}
 
     def warnings_as_dicts(self) -> list[dict[str, str]]:
         """What cannot be true and was accepted, for a result file."""
@@ -331,6 +334,19 @@ class Placing:
     def headings(self, heading_rad: np.ndarray) -> np.ndarray:
         """Headings from the file's +x, (n,) [rad], as headings from the road's, within half a turn."""
         return wrap_angle(heading_rad - math.radians(self.heading_deg))
+
+
+_FLAT_WITHIN_M = 0.5  # of height over all places
+_SAMPLE = 2000  # places are enough for a slope
+
+
+def ground_of(xy_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
+    """A sample of the ground under vehicles, (n, 3) [m]: none where no height is known, or all are alike."""
+    known = np.flatnonzero(np.isfinite(z_m))
+    if not len(known) or np.ptp(z_m[known]) <= _FLAT_WITHIN_M:
+        return np.zeros((0, 3))
+    rows = known[:: max(1, len(known) // _SAMPLE)]
+    return np.column_stack([xy_m[rows], z_m[rows]])
 
 
 # --- Vehicles that stand in one another: a defect of recordings that is reported, not repaired ------------
