@@ -88,7 +88,7 @@ class TrafficSettings:
         Share of the recording, at its end, that the search does not use and on which the mounting is judged.
     block_s : float or None
         Length of the blocks of time that intervals resample [s]; by default as long as 95 % of the vehicles stay in the
-        region.
+        region, and at least one cycle of a signal that the traffic shows.
     height_m : mapping
         Heights by class [m], where the recording gives none, as NGSIM's; by default car 1.5, van 1.9, truck 3.0,
         long_truck 3.8 (from 9 m on), bus 3.2, motorcycle 1.4.

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..statistics import FEWEST_BLOCKS
+from .cycle import FEWEST_CYCLES, LONG_S, signal_cycle_s
 from .vehicles import Recording, RepairReport, Vehicles, counted, unknown_frame
 
 # --- Which frames of a recording are fit to be analysed ---------------------------------------------------
@@ -62,11 +63,12 @@ _TRANSIT_PERCENTILE = 95
 _FEWEST_HOLDOUT_BLOCKS = 2
 _SHORTEST_S = 1e-3
 _FEW_VEHICLES = 10  # different ones
+_GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FramePlan:
-    """Frames to search on and frames to judge by, in blocks of time longer than a transit of the site.
+    """Frames to search on and frames to judge by, in blocks longer than a transit of the site and a signal's cycle.
 
     Attributes
     ----------
@@ -123,8 +125,9 @@ def plan_frames(
     holdout : float
         Share of the recording's time that is held out, from 0 to 0.9.
     block_s : float, optional
-        Length of a block [s]; by default the 95th percentile of the time that vehicles count, in whole seconds, at
-        least 5: of whole stays, or of all that begin or end in the recording, whichever is longer.
+        Length of a block [s]; by default, in whole seconds and at least 5, the 95th percentile of the time that
+        vehicles count (of whole stays, or of all that begin or end in the recording, whichever is longer), or the cycle
+        of a signal that the traffic shows, if that is longer.
 
     Raises
     ------
@@ -137,18 +140,27 @@ def plan_frames(
             raise InputError(f"{name} is {value} s; at least {_SHORTEST_S:g} is needed")
     whole = instants(recording)
     candidates = _Frames.of(recording, well_populated_frames(recording, whole))
-    if block_s is None:
-        block_s = _transit_block_s(recording, candidates, holds)
     notes: list[str] = [] if ids is not None else _skipped(recording, whole, candidates)
+    cycle_s, queues = signal_cycle_s(recording, candidates.frames, holds)
+    if block_s is None:
+        block_s, note = _default_block_s(_transit_block_s(recording, candidates, holds), cycle_s)
+        notes += note
+        if cycle_s is None and queues and candidates.length_s < FEWEST_CYCLES * LONG_S:
+            notes.append(
+                f"queues come and go, and {candidates.length_s:.0f} s are too short to tell the cycle of a signal: if "
+                "there is one, [traffic] block_s should be at least as long, or intervals may be too narrow"
+            )
+    elif cycle_s is not None and block_s < 0.95 * cycle_s:
+        notes.append(f"blocks of {block_s:g} s may make intervals too narrow: the signal's cycle is {cycle_s:.0f} s")
     listed = None if ids is None else _Frames.of(recording, ids, candidates.spacing_s)
 
     if listed is None:
         searched, rest = _divided(candidates, holdout, block_s)
-        search = _spread(searched, count, spacing_s, notes)
+        search = _spread(searched, count, spacing_s, cycle_s, notes)
     else:
         searched = search = listed
         rest = _beside(searched, candidates, block_s) if holdout else None
-    judged = None if rest is None else _judging(rest, search, searched, holdout, block_s)
+    judged = None if rest is None else _judging(rest, search, searched, holdout, block_s, cycle_s)
     pause = _pause(candidates)
     if judged is None and holdout:
         notes.append(f"nothing is held out: {pause or _too_short(candidates, holdout, block_s, listed is not None)}")
@@ -221,6 +233,15 @@ def _transit_block_s(recording: Recording, candidates: _Frames, holds: Holds) ->
     return max(_SHORTEST_BLOCK_S, float(math.ceil(typical - 1e-6)))
 
 
+def _default_block_s(transit_s: float, cycle_s: float | None) -> tuple[float, list[str]]:
+    """A block longer than a transit and than the cycle of a signal, if there is one, and a note that tells of it."""
+    if cycle_s is None:
+        return transit_s, []
+    block_s = max(transit_s, float(math.ceil(cycle_s)))
+    than = f"a signal's cycle of {cycle_s:.0f} s, found in the traffic, and than a transit of {transit_s:.0f} s"
+    return block_s, [f"blocks of {block_s:.0f} s: not shorter than {than}"]
+
+
 def _divided(candidates: _Frames, holdout: float, block_s: float) -> tuple[_Frames, _Frames | None]:
     """The part to search and, unless it would be too short, the part to hold out, one block later."""
     since = candidates.time_s - candidates.time_s[0]
@@ -245,10 +266,12 @@ def _is_enough(part: _Frames, block_s: float) -> bool:
     return len(np.unique(_blocks(part, part, block_s))) >= _FEWEST_HOLDOUT_BLOCKS
 
 
-def _spread(part: _Frames, count: int | None, spacing_s: float | None, notes: list[str]) -> _Frames:
+def _spread(
+    part: _Frames, count: int | None, spacing_s: float | None, cycle_s: float | None, notes: list[str]
+) -> _Frames:
     """The search frames: evenly by number, or nearest to the multiples of a spacing."""
     if spacing_s is None:
-        chosen = _evenly(part, min(count or DEFAULT_COUNT, len(part.frames)))
+        chosen = _evenly(part, min(count or DEFAULT_COUNT, len(part.frames)), cycle_s)
     else:
         chosen = part.where(_nearest_to_multiples(part.time_s, spacing_s, count))
     if count is not None and len(chosen.frames) < count:
@@ -267,16 +290,23 @@ def _nearest_to_multiples(time_s: np.ndarray, spacing_s: float, count: int | Non
     return np.unique(np.where(is_before, after - 1, after))
 
 
-def _evenly(part: _Frames, count: int) -> _Frames:
-    return part.where(((np.arange(count) + 0.5) * len(part.frames) / count).astype(int))
+def _evenly(part: _Frames, count: int, cycle_s: float | None) -> _Frames:
+    """One frame of each of so many equal parts: its middle one, or with a cycle one that is off it by golden ratios.
+
+    Frames every 30 s would meet a signal of 90 s in three moments of its cycle alone.
+    """
+    place = np.arange(count) * _GOLDEN % 1.0 if cycle_s else 0.5
+    return part.where(((np.arange(count) + place) * len(part.frames) / count).astype(int))
 
 
-def _judging(rest: _Frames, search: _Frames, searched: _Frames, holdout: float, block_s: float) -> _Frames | None:
+def _judging(
+    rest: _Frames, search: _Frames, searched: _Frames, holdout: float, block_s: float, cycle_s: float | None
+) -> _Frames | None:
     """Held-out frames as far apart as the search frames, at least one a block; none if they fill a single block."""
     spacing_s = searched.length_s / len(search.frames)
     share = math.ceil(len(search.frames) * holdout / (1 - holdout))
     count = max(int(rest.length_s // block_s), min(round(rest.length_s / spacing_s), share))
-    judged = _evenly(rest, min(count, len(rest.frames)))
+    judged = _evenly(rest, min(count, len(rest.frames)), cycle_s)
     return judged if len(np.unique(_blocks(judged, rest, block_s))) >= _FEWEST_HOLDOUT_BLOCKS else None
 
 
