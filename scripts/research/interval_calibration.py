@@ -1,8 +1,8 @@
 """Calibrate the intervals of a run beside a signal: 60 recordings of ten minutes, each with its own answer.
 
-`make_crossing.py` generates the same signalised crossing 60 times with other seeds. `optimise` runs on the approach from
-the west as a user's would, and the 90 % interval of its gain, in detectable share and in the metric, should hold the mean of the other 59
-gains about nine times in ten, be no wider than their spread asks for, and be missing seldom.
+`make_crossing.py` generates the same signalised crossing 60 times with other seeds. `optimise` runs on the approach
+from the west as a user's would. The 90 % interval of its gain, in detectable share and in the metric, should hold the
+mean of the other 59 gains about nine times in ten, be no wider than their spread asks for, and be missing seldom.
 
     pip install "blender_lidar[fast,sumo]"
     python scripts/research/interval_calibration.py --out crossing
