@@ -58,7 +58,7 @@ def saved_and_opened(folder: Path):
 def result_of(folder) -> dict:
     """The result of a run but for what it is called and how long it took."""
     result = json.loads((Path(folder) / "result.json").read_text(encoding="utf-8"))
-    return {key: value for key, value in without_times(result).items() if key != "scene"}
+    return {key: value for key, value in without_times(result).items() if key not in ("scene", "site")}
 
 
 def in_the_median(folder: Path) -> Path:

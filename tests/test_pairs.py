@@ -172,6 +172,18 @@ def test_two_processes_find_what_one_finds(ran, tmp_path, capsys):
     assert scores(found) == scores(ran.result)
 
 
+def test_a_table_counts_the_boxes_that_the_run_counted_or_says_why_there_is_none(ran, tmp_path, capsys):
+    words = ("table", ran.scene, "--setback", 2, "--height", "3,4", "--out", tmp_path / "table")
+    if ran.settings.deployment.poles:
+        code, _, err = cli(capsys, *words)
+        assert code == 2
+        assert "a study is about one" in err
+        return
+    cells = verb(capsys, *words)["cells"]
+    assert [cell["height_m"] for cell in cells] == [3.0, 4.0]
+    assert {cell["boxes"] for cell in cells} == {ran.result["holdout"]["boxes"]}
+
+
 # --- Clouds -----------------------------------------------------------------------------------------------------------
 
 

@@ -165,6 +165,8 @@ def test_one_set_of_processes_and_one_scorer_for_each_frame_serve_a_whole_run(ru
     """Three were started one after the other, and the final tables built every tree again."""
     employed, built = [], []
     employ, build = Workplace.employ, FrameScorer.__init__
+    told = stored(runs / "robust")["other_traffic"]  # which has frames of its own
+    monkeypatch.setattr("blender_lidar.run.optimise.other_traffic", lambda *given: told)
     monkeypatch.setattr(Workplace, "employ", lambda *given: employed.append(given) or employ(*given))
     monkeypatch.setattr(FrameScorer, "__init__", lambda *given: built.append(given) or build(*given))
     assert main(["optimise", str(runs / "scene.toml"), *WORDS, "--out", str(tmp_path / "run")]) == 0

@@ -215,7 +215,7 @@ def begin(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, lidar: bpy.types.O
 
 def keep_result(lidar: bpy.types.Object, job: Optimisation) -> None:
     """Keep with a LiDAR what its optimisation has found."""
-    found = {"deployment": job.result["deployment"], "lines": result_lines(job.result)}
+    found = {key: job.result[key] for key in ("deployment", "holdout")} | {"lines": result_lines(job.result)}
     found |= {"before": properties.mounting_of(lidar).as_table(), "folder": job.keep(lidar.name)}
     lidar.lidar.found = json.dumps(found)
 

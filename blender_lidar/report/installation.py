@@ -133,7 +133,7 @@ def _bearing(site, axis, ahead_rad, travel):
     nearest = min(names, key=lambda name: abs(math.remainder(bearing - name, 360.0)))
     off = math.remainder(bearing - nearest, 360.0)
     turned = "" if abs(off) < 0.5 else f", {abs(off):.0f} deg {'counter-' if off > 0 else ''}clockwise of it"
-    return f"{names[nearest]}{turned}, bearing {bearing_deg(site.scenario, axis[:2]):.0f} deg"
+    return f"{names[nearest]}{turned}, bearing {bearing_deg(site, axis[:2]):.0f} deg"
 
 
 _CROWN_STEPS = 20  # each comes nearer by the crown's slope over the beam's

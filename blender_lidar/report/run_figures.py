@@ -349,7 +349,7 @@ def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Seq
             _draw_lanes(axes, road, np.stack(np.meshgrid(x_edges[[0, -1]], y_edges[[0, -1]]), axis=-1).reshape(-1, 2))
             marker = mark_sensor(axes, (mount["x_m"], mount["y_m"]))
             outlines = [_outline_zone(axes, zone) for zone in zones]
-            found = f"{below.mean():.1f} % of {below.size:,} vehicles below the threshold"
+            found = f"{below.mean():.1f} % of {below.size:,} boxes below the threshold"
             axes.set(
                 title=f"{name}: {mounting_text(mount, leans=leans(run.result))}\n{found}",
                 ylabel="Across the road, y [m]",

@@ -9,10 +9,8 @@ import math
 
 import numpy as np
 
-from ..traffic import format_of
 from ..traffic.vehicles import Placing
 from .mounting import Mounting
-from .scenario import Scenario
 from .site import Site
 
 UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
@@ -43,19 +41,19 @@ def pointing(site: Site, mounting: Mounting) -> dict[str, object]:
     is_upright = lean < UPRIGHT_DEG
     side = (axis - (axis @ upright) * upright)[:2]
     return {
-        **_in_recording(site.scenario, mounting.xy),
-        "facing_bearing_deg": bearing_deg(site.scenario, facing[:2]),
+        **_in_recording(site, mounting.xy),
+        "facing_bearing_deg": bearing_deg(site, facing[:2]),
         "lean_deg": lean,
-        "lean_bearing_deg": None if is_upright else bearing_deg(site.scenario, side),
+        "lean_bearing_deg": None if is_upright else bearing_deg(site, side),
         "leans": None if is_upright else towards(site, mounting.xy, side),
     }
 
 
-def bearing_deg(scenario: Scenario, direction: np.ndarray) -> float:
+def bearing_deg(site: Site, direction: np.ndarray) -> float:
     """Bearing of a direction of the site frame, (2,): clockwise from the +y of the recording's frame, 0 to 360."""
     counter_clockwise = math.degrees(math.atan2(direction[1], direction[0]))
-    if _format(scenario) != "ngsim":  # NGSIM's +y is ahead along the road
-        counter_clockwise += (scenario.traffic.heading_deg or 0.0) - 90.0
+    if site.recording.report.format != "ngsim":  # NGSIM's +y is ahead along the road
+        counter_clockwise += (site.scenario.traffic.heading_deg or 0.0) - 90.0
     return round(-counter_clockwise, 9) % 360.0
 
 
@@ -78,20 +76,15 @@ def towards(site: Site, xy: tuple[float, float], direction: np.ndarray) -> str:
     return ways[min(ways, key=lambda way: abs(math.remainder(turn - way, 360.0)))]
 
 
-def _format(scenario: Scenario) -> str:
-    format = scenario.traffic.format
-    return format_of(scenario.traffic.path) if format == "auto" else format
-
-
-def _in_recording(scenario: Scenario, xy: tuple[float, float]) -> dict[str, object]:
+def _in_recording(site: Site, xy: tuple[float, float]) -> dict[str, object]:
     """A place of the site frame in the first recording's own coordinates [m], and what these are."""
-    format = _format(scenario)
+    format = site.recording.report.format
     if format == "ngsim":
-        y_m, x_m = scenario.road.in_ngsim(*xy)
+        y_m, x_m = site.scenario.road.in_ngsim(*xy)
     else:
-        settings = scenario.traffic
+        settings = site.scenario.traffic
         x_m, y_m = Placing(settings.origin_m or (0.0, 0.0), settings.heading_deg or 0.0).in_file(*xy)
-    return {"frame": _FRAMES[format], "x_m": float(x_m), "y_m": float(y_m)}
+    return {"frame": _FRAMES.get(format, "x and y of the recording"), "x_m": float(x_m), "y_m": float(y_m)}
 
 
 def _between_deg(first: np.ndarray, second: np.ndarray) -> float:

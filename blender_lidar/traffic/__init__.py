@@ -6,6 +6,7 @@ SUMO's Parquet files need pyarrow, imported when one is read; the rest needs num
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import InputError, unknown_name
@@ -75,7 +76,8 @@ def read_traffic(
             raise InputError(f"{path}: {name} = {value!r} does not apply to traffic of format {format!r}")
     if format == "ngsim":
         given["road"] = road or StraightRoad()
-    return with_overlaps_reported(read(path, **given))
+    recording = read(path, **given)
+    return with_overlaps_reported(replace(recording, report=replace(recording.report, format=format)))
 
 
 _FEWEST_ALIKE = 4  # of a format's needed columns, by which a header is known

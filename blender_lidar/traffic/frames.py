@@ -445,6 +445,7 @@ def _joined_reports(reports: Sequence[RepairReport], names: Sequence[str]) -> Re
     named = list(zip(names, reports, strict=True))
     counts = [one.name for one in fields(RepairReport) if isinstance(one.default, int)]
     return RepairReport(
+        format=reports[0].format,
         **{count: sum(getattr(report, count) for report in reports) for count in counts},
         notes=tuple(f"{name}: {note}" for name, report in named for note in report.notes),
         assumed=tuple(f"{name}: {text}" for name, report in named for text in report.assumed),

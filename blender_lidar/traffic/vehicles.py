@@ -26,6 +26,8 @@ class RepairReport:
         Rows of the file that became boxes.
     location, period : str
         What was read of a file that mixes several; empty where the file names none.
+    format : str
+        Of the file: ngsim, sumo or table; of several the first's.
     locations, periods : tuple of str
         What the file holds.
     duplicates : int
@@ -54,6 +56,7 @@ class RepairReport:
 
     rows_read: int = 0
     rows_used: int = 0
+    format: str = ""
     location: str = ""
     period: str = ""
     locations: tuple[str, ...] = ()

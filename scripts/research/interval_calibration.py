@@ -91,12 +91,15 @@ def calibrate(args: argparse.Namespace) -> None:
         ("metric", "gain_over_baseline", "interval_90"),
     ):
         told(name, np.array([one[key] for one in judged]), [one[ends] for one in judged])
-    best = np.array([(one["deployment"]["height_m"], one["deployment"]["tilt_x_deg"]) for one in results])
-    whole = np.median(best, axis=0)
-    for axis, key in enumerate(("height_m", "tilt_x_deg")):
+    maps = [RunFolder(args.out / f"run_{number:02d}").read_score_map() for number in range(args.recordings)]
+    row, column = np.unravel_index(
+        np.argmax(sum(one.block_objective.sum(axis=-1) for one in maps)), maps[0].per_vehicle.shape
+    )
+    best = {"height_m": maps[0].height_m[row], "tilt_x_deg": maps[0].tilt_deg[column]}
+    for key, value in best.items():
         pairs = [(one["map"]["optimum_interval_90"] or {}).get(key) for one in results]
-        held = sum(pair[0] <= whole[axis] <= pair[1] for pair in pairs if pair)
-        print(f"best {key}: median {whole[axis]:.2f}; {held} of {sum(map(bool, pairs))} intervals hold it")
+        held = sum(pair[0] - 1e-9 <= value <= pair[1] + 1e-9 for pair in pairs if pair)
+        print(f"best {key} of all recordings together {value:g}: {held} of {sum(map(bool, pairs))} intervals hold it")
 
 
 if __name__ == "__main__":
