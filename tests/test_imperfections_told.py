@@ -52,8 +52,8 @@ def test_a_run_says_what_is_assumed_of_a_beam_table_that_leaves_it_open(tmp_path
     message, _ = done(capsys, "evaluate", scene, "--height", 3, "--out", "own")
     assert (
         "Assumed: The sensor's file leaves open, and is taken to mean: 10 turns a second; a column every 55.55 us, "
-        "1800 a turn at 10 Hz; it sees from 0.4 m; it sees to 200 m; range noise 0.02 m where asked for; every beam looks "
-        "along its column; all beams of a column fire at once."
+        "1800 a turn at 10 Hz; it sees from 0.4 m; it sees to 200 m; range noise 0.02 m where asked for; every beam "
+        "looks along its column; all beams of a column fire at once."
     ) in " ".join(message.split())
     message, _ = done(capsys, "evaluate", write_scene(tmp_path), "--height", 3, "--out", "shipped")
     assert "Assumed" not in message
