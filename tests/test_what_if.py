@@ -34,6 +34,11 @@ def kinds_by_lane(site):
     return counts
 
 
+def test_a_lidar_higher_than_any_pole_has_its_coverage_too(site):
+    found = other_traffic(site, site.scenario.mounting({"height_m": 45.0, "tilt_x_deg": 60.0}))
+    assert found["repair"]["height_m"] > 45.0
+
+
 @pytest.mark.parametrize("xy", [(0.0, 0.0), (0.0, 26.0)])
 @pytest.mark.parametrize("near", [1, 2, None])
 def test_lorries_drive_in_the_lanes_nearest_to_the_mast_alone(site, xy, near):
@@ -84,6 +89,15 @@ def test_a_road_of_two_lanes_has_its_near_lane_and_both(tmp_path):
     ]
 
 
+def test_off_the_lanes_of_the_road_map_lorries_are_in_every_lane_alone(tmp_path):
+    write_table(tmp_path / "traffic.csv", [[*row[:4], row[4] + 30.0, *row[5:]] for row in traffic_rows()])
+    polygon = {"region": {"polygon_m": [[-20.0, 20.0], [20.0, 20.0], [20.0, 60.0], [-20.0, 60.0]]}}
+    changes = {"traffic": {"accept": ["carriageway"]}, "sensor": {"range_gate_m": 70.0}}
+    scene = write_scene(tmp_path, {**polygon, **changes})
+    site = prepare(load_scenario(scene))
+    assert {mix.lanes for mix in mixes(site, (0.0, 0.0))} == {"every lane", None}
+
+
 def text_of(after=0.67, before=0.99, **repair):
     row = {"interval_90": None, "boxes": 9}
     lanes = {"lane 1": 1.0, "lane 2": 0.98}
@@ -91,6 +105,7 @@ def text_of(after=0.67, before=0.99, **repair):
     worst = {**row, "what": "", "lanes": "the nearest lane", "lorries": 1.0, "detectable_share": after}
     worst["by_lane"] = {"lane 1": 0.95, "lane 2": 0.52}
     told = {"height_m": 6.0, "within_bounds": True, "repairs": True, "detectable_share": 0.98, "other_side": None}
+    told["up_to_m"] = 12.0
     return lorries_text({"other_traffic": {"recorded": whole, "mixes": [worst], "repair": told | repair}})
 
 

@@ -105,7 +105,9 @@ def lorries_text(result: Mapping) -> str:
     if repair["repairs"]:
         text += f"; a height of {repair['height_m']:g} m{beyond} would bring it back ({share})"
     else:
-        text += f"; no height up to 12 m brings it back (at best {share}, at {repair['height_m']:g} m)"
+        text += (
+            f"; no height up to {repair['up_to_m']:g} m brings it back (at best {share}, at {repair['height_m']:g} m)"
+        )
     if repair["other_side"] is not None:
         text += f", and a pole on the other side of the road would see {100 * repair['other_side']:.0f} %"
     return text

@@ -100,6 +100,7 @@ def _by_distance(site: Site, xy: Sequence[float]) -> np.ndarray:
 
 LORRY_SHARES = (0.1, 0.3, 1.0)
 _NIGHT, _RUSH = 0.25, 0.5  # of the vehicles, and of the gaps
+_ON_LANES = 0.5  # of the vehicles that count, for the road map's lanes to be theirs
 
 
 def rush_hour(site: Site, seed: int = 0) -> Site:
@@ -122,9 +123,14 @@ class Mix(NamedTuple):
 
 
 def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
-    """Lorries in the lanes nearest to a place, night, rush hour and a queue."""
-    near = {1: "the nearest lane", 2: "the two nearest lanes"}
-    lanes = [(count, name) for count, name in near.items() if count < len(site.scenario.road_map)]
+    """Lorries in the lanes nearest to a place, night, rush hour and a queue.
+
+    Where most vehicles drive off the lanes of the road map, as at a crossing, lorries are in every lane alone.
+    """
+    road, near = site.scenario.road_map, {1: "the nearest lane", 2: "the two nearest lanes"}
+    counted = np.concatenate([frame.vehicles.centre_m[frame.counted] for frame in site.search])
+    known = len(counted) and road.on(counted).mean() >= _ON_LANES
+    lanes = [(count, name) for count, name in near.items() if known and count < len(road)]
     found = [
         Mix(
             f"lorries in {name}",
@@ -159,7 +165,7 @@ def other_traffic(site: Site, mounting: Mounting) -> dict[str, object]:
         ``frames`` looked at; ``recorded`` and ``mixes``: ``what`` and its ``value``, ``lanes`` and ``lorries``,
         ``boxes``, ``distinct_vehicles``, ``detectable_share``, its ``interval_90``, and the shares ``by_lane``; and
         ``repair`` of lorries alone in the nearest lane: ``height_m`` and ``detectable_share`` of the least height that
-        ``repairs`` it, all but 2 points, or of the best up to 12 m, whether that is ``within_bounds``, and the share
+        ``repairs`` it, all but 2 points, or of the best ``up_to_m``, whether that is ``within_bounds``, and the share
         from a pole on the ``other_side``, None where none can stand.
     """
     few, seed = _judging(site), site.scenario.search.seed
@@ -211,8 +217,11 @@ def _coverage(site: Site, mounting: Mounting) -> dict[str, object]:
 
 def _repair(site: Site, mounting: Mounting, enough: float) -> dict[str, object]:
     """The least height that sees enough of a site's traffic, or the best, and what a pole on the other side sees."""
-    _, high = site.scenario.deployment.places[0].bounds.get("height_m", (mounting.height_m,) * 2)
-    heights = np.arange(mounting.height_m + _STEP_M, max(_HIGHEST_M, high) + 1e-9, _STEP_M)
+    places = site.scenario.deployment.places
+    place = min(places, key=lambda one: math.dist([np.mean(one.span(key)) for key in ("x_m", "y_m")], mounting.xy))
+    _, high = place.bounds.get("height_m", (mounting.height_m,) * 2)
+    up_to_m = max(_HIGHEST_M, high, mounting.height_m + _STEP_M)
+    heights = np.arange(mounting.height_m + _STEP_M, up_to_m + 1e-9, _STEP_M)
     higher = [
         replace(mounting, height_m=float(height), tilt_x=mounting.tilt_x + math.radians(more))
         for height in heights
@@ -229,6 +238,7 @@ def _repair(site: Site, mounting: Mounting, enough: float) -> dict[str, object]:
         "height_m": float(heights[row]),
         "within_bounds": bool(heights[row] <= high),
         "repairs": bool(len(enough)),
+        "up_to_m": float(up_to_m),
         "detectable_share": float(best[row]),
         "other_side": float(shares[-1]) if other else None,
     }
