@@ -110,14 +110,14 @@ def text_of(after=0.67, before=0.99, **repair):
 
 
 def test_the_line_names_the_lane_that_is_lost_and_what_repairs_it():
-    start = "If all vehicles of the nearest lane were lorries, 67 % would be detectable instead of 99 %, in lane 2 52 "
+    start = "If all vehicles of the nearest lane were lorries, 67 % would be detectable instead of 99 %; in lane 2, 52 "
     start += "instead of 98 %"
-    assert text_of() == f"{start}; a height of 6 m would bring it back (98 %)"
-    assert "a height of 6 m, above the allowed heights, would" in text_of(within_bounds=False)
+    assert text_of() == f"{start}. A height of 6.0 m would bring it back (about 98 %)"
+    assert "A height of 6.0 m, above the allowed heights, would" in text_of(within_bounds=False)
     lost = text_of(repairs=False, detectable_share=0.9, height_m=11.5, other_side=0.97)
     assert lost.endswith(
-        "; no height up to 12 m brings it back (at best 90 %, at 11.5 m), and a pole on the other side of the road "
-        "would see 97 %"
+        ". No height up to 12 m brings it back (at best about 90 %, at 11.5 m); a pole on the other side of the road "
+        "would see about 97 %"
     )
     assert "bring" not in text_of(after=0.98)
 

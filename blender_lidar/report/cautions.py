@@ -97,19 +97,17 @@ def lorries_text(result: Mapping) -> str:
     }
     if lost and max(lost.values()) > 0.0:
         lane = max(lost, key=lost.get)
-        text += f", in {lane} {100 * worst['by_lane'][lane]:.0f} instead of {100 * whole['by_lane'][lane]:.0f} %"
+        text += f"; in {lane}, {100 * worst['by_lane'][lane]:.0f} instead of {100 * whole['by_lane'][lane]:.0f} %"
     if whole["detectable_share"] - worst["detectable_share"] <= REPAIRED:
         return text
-    share = f"{100 * repair['detectable_share']:.0f} %"
+    share, height = f"about {100 * repair['detectable_share']:.0f} %", f"{repair['height_m']:.1f} m"
     beyond = "" if repair["within_bounds"] else ", above the allowed heights,"
     if repair["repairs"]:
-        text += f"; a height of {repair['height_m']:g} m{beyond} would bring it back ({share})"
+        text += f". A height of {height}{beyond} would bring it back ({share})"
     else:
-        text += (
-            f"; no height up to {repair['up_to_m']:g} m brings it back (at best {share}, at {repair['height_m']:g} m)"
-        )
+        text += f". No height up to {repair['up_to_m']:g} m brings it back (at best {share}, at {height})"
     if repair["other_side"] is not None:
-        text += f", and a pole on the other side of the road would see {100 * repair['other_side']:.0f} %"
+        text += f"; a pole on the other side of the road would see about {100 * repair['other_side']:.0f} %"
     return text
 
 

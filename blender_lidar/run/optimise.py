@@ -26,6 +26,7 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
 from ..statistics import FEW_BLOCKS, FEWEST_BLOCKS, best_intervals_90, best_without_block, block_sums, of_blocks
+from ..traffic.frames import NOTHING_HELD_OUT
 from .assumptions import assumptions, site_name
 from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, RunFolder
 from .replay import Listener, Replay
@@ -435,7 +436,7 @@ def _conclude(
         "other_traffic": other_traffic(site, layouts["optimised"][0]),
         "assumptions": assumptions(site, tables["optimised"]),
         "warnings": site.recording.report.warnings_as_dicts(),
-        "notes": list(site.plan.notes),
+        "notes": [note for note in site.plan.notes if crossed is None or not note.startswith(NOTHING_HELD_OUT)],
         "traffic_report": site.recording.report.as_dict(),
         "identity": site.identity,
         "seconds": round(time.perf_counter() - started, 3),

@@ -57,6 +57,7 @@ def instants(recording: Recording) -> np.ndarray:
 Holds = Callable[[Vehicles], np.ndarray]
 """Marks the vehicles of a frame that score, (n,) bool: those inside the region."""
 
+NOTHING_HELD_OUT = "nothing is held out"  # how a note begins that says why
 DEFAULT_COUNT = 30
 _SHORTEST_BLOCK_S = 5.0
 _TRANSIT_PERCENTILE = 95
@@ -163,7 +164,7 @@ def plan_frames(
     judged = None if rest is None else _judging(rest, search, searched, holdout, block_s, cycle_s)
     pause = _pause(candidates)
     if judged is None and holdout:
-        notes.append(f"nothing is held out: {pause or _too_short(candidates, holdout, block_s, listed is not None)}")
+        notes.append(f"{NOTHING_HELD_OUT}: {pause or _too_short(candidates, holdout, block_s, listed is not None)}")
     elif pause:
         notes.append(pause)
     none = np.zeros(0, dtype=np.int64)
