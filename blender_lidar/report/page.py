@@ -104,8 +104,8 @@ CHARTS = {
     ),
     "blind_zones.png": (
         "Road from above, shaded by the share of vehicles below the threshold, for both mountings",
-        "The darker a stretch of a lane, the more of the vehicles there stay below the threshold; the triangle is the "
-        "LiDAR.",
+        "To scale. Look for dark stretches: there most vehicles stay below the threshold. A number is that of the "
+        "boxes in a cell; a cell of few boxes says little. The triangle is the LiDAR.",
     ),
     "other_traffic.png": (
         "Detectable share under other traffic: lorries by lane, night, rush hour, a queue",

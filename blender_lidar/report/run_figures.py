@@ -45,6 +45,8 @@ FEWEST_VEHICLES = 5  # below this a band's average says little, and is not drawn
 BAND_M = 10.0
 _CELL_LENGTH_M = 5.0  # of the blind zones, along the road
 _MARGIN_M = 1.5  # room for the LiDAR's marker
+_PANEL_MM = 128.0  # width of a panel of the blind zones
+_MOST_WRITTEN = 36  # cells along the road in which a number can be read
 
 
 def draw_charts(site: Site, run: RunFolder) -> list[str]:
@@ -340,12 +342,17 @@ def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Seq
     left = np.arange(1, math.ceil((y.max() - lines[-1]) / lane_m) + 1)
     y_edges = np.concatenate([lines[0] - lane_m * right, lines, lines[-1] + lane_m * left])
     title, about = "Where vehicles stay below the threshold", _about(run.result, judged=True)
-    with sheet(path, 120.0, title, about) as figure:
+    across = poles[:, 1]
+    xlim = x_edges[0], x_edges[-1]
+    ylim = min(y_edges[0], across.min() - _MARGIN_M), max(y_edges[-1], across.max() + _MARGIN_M)
+    height_mm = _PANEL_MM * (ylim[1] - ylim[0]) / (xlim[1] - xlim[0])
+    with sheet(path, 46.0 + 2.0 * (height_mm + 7.0), title, about) as figure:
         panels = figure.subplots(2, 1, sharex=True, sharey=True)
         for axes, table, (name, mount) in zip(panels, tables, mountings, strict=True):
             below = np.where(table["detectable"], 0.0, 100.0)
             share = cell_means(below, (table["y_m"], table["x_m"]), (y_edges, x_edges))
             mesh, empty = _draw_cells(axes, x_edges, y_edges, share)
+            _write_counts(axes, np.histogram2d(table["y_m"], table["x_m"], (y_edges, x_edges))[0], x_edges, y_edges)
             _draw_lanes(axes, road, np.stack(np.meshgrid(x_edges[[0, -1]], y_edges[[0, -1]]), axis=-1).reshape(-1, 2))
             marker = mark_sensor(axes, (mount["x_m"], mount["y_m"]))
             outlines = [_outline_zone(axes, zone) for zone in zones]
@@ -354,14 +361,20 @@ def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Seq
                 title=f"{name}: {mounting_text(mount, leans=leans(run.result))}\n{found}",
                 ylabel="Across the road, y [m]",
             )
-        across = poles[:, 1]
-        panels[-1].set(
-            xlim=(x_edges[0], x_edges[-1]),
-            ylim=(min(y_edges[0], across.min() - _MARGIN_M), max(y_edges[-1], across.max() + _MARGIN_M)),
-            xlabel=ALONG_LABEL if road.against.any() else TRAVEL_LABEL,
-        )
-        figure.colorbar(mesh, ax=panels, label="Vehicles below the threshold [%]", pad=0.02)
+            axes.set_aspect("equal")
+        panels[-1].set(xlim=xlim, ylim=ylim, xlabel=ALONG_LABEL if road.against.any() else TRAVEL_LABEL)
+        figure.colorbar(mesh, ax=panels, label="Boxes below the threshold [%]", pad=0.02)
         legend_below(figure, [marker, empty, *outlines[:1]], columns=3)
+
+
+def _write_counts(axes: Axes, counts: np.ndarray, x_edges: np.ndarray, y_edges: np.ndarray) -> None:
+    """The number of boxes in each cell, where cells are wide enough for it."""
+    if len(x_edges) > _MOST_WRITTEN:
+        return
+    for (row, column), count in np.ndenumerate(counts):
+        if count:
+            place = 0.5 * (x_edges[column] + x_edges[column + 1]), 0.5 * (y_edges[row] + y_edges[row + 1])
+            axes.text(*place, f"{count:.0f}", ha="center", va="center", fontsize=4.5, color=INK)
 
 
 def _outline_zone(axes, zone):
