@@ -274,13 +274,13 @@ def test_blind_zones_use_whole_lanes_and_one_scale_and_hold_every_vehicle(tmp_pa
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(("spread", "panels"), [(1.0, 2), (3.0, 4)])
-def test_clouds_are_drawn_to_scale_and_a_long_road_in_stretches(spread, panels, tmp_path, figures):
+@pytest.mark.parametrize("spread", [0.1, 1.0, 3.0])
+def test_clouds_are_drawn_to_scale_and_in_one_piece_whatever_the_roads_length(spread, tmp_path, figures):
     road = vehicles(4)
     road.centre_m[:, 0] = spread * np.linspace(-45.0, 45.0, 12)
     plot_clouds(tmp_path / "c.png", road, sights(np.ones(12, dtype=bool)))
     drawings = figures[0].axes[:-1]
-    assert len(drawings) == panels
+    assert len(drawings) == 2
     scales = []
     for axes in drawings:
         box = axes.get_window_extent()

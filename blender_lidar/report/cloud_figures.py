@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,11 +47,10 @@ if TYPE_CHECKING:
 # --- Point clouds of one frame from above -----------------------------------------------------------------------------
 
 _MARGIN_M = 2.0
-_LONGEST_M = 160.0  # a longer piece of road is cut into stretches below one another
 _HIGHEST_M = 4.0  # a truck's roof: all panels, and any two charts, share one scale
 _LEFT_MM, _PANEL_MM = 13.0, 152.0  # where the panels begin on paper, and their width
 _HEADING_MM, _TICKS_MM, _KEY_MM = 9.0, 7.0, 30.0  # above a mounting, below a panel, below all panels
-_STEEPEST = 0.45  # a panel's height over its width is at most this
+_STEEPEST = 0.7  # a panel's height over its width is at most this
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,13 +105,12 @@ def plot_clouds(
     poles = [sight.mounting.xy for sight in sights]
     window = np.concatenate([corners.reshape(-1, 2), poles])
     with _panels(path, window, len(sights), _KEY_MM, title, subtitle) as (figure, panels, bottom):
-        for sight, stretches in zip(sights, panels, strict=True):
-            for axes in stretches:
-                dots, entries = _draw_panel(axes, sight, corners)
+        for sight, axes in zip(sights, panels, strict=True):
+            dots, entries = _draw_panel(axes, sight, corners)
             points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
             seen = f"{np.count_nonzero(sight.detectable)} of {len(sight.detectable)} vehicles detectable"
             where = mounting_text(sight.mounting.as_table(), leans=leaning)
-            stretches[0].set_title(f"{sight.name}: {where}\n{seen}, {points:,} points on vehicles")
+            axes.set_title(f"{sight.name}: {where}\n{seen}, {points:,} points on vehicles")
         bar = place(figure, 0.25 * WIDTH_MM, bottom + 7.0, 0.5 * WIDTH_MM, 2.5)
         label = "Height above the road of points on vehicles [m]"
         figure.colorbar(dots, cax=bar, orientation="horizontal", label=label)
@@ -124,34 +120,24 @@ def plot_clouds(
 @contextmanager
 def _panels(
     path: str | Path, window: np.ndarray, mountings: int, key_mm: float, title: str, subtitle: str
-) -> Iterator[tuple[Figure, list[list[Axes]], float]]:
-    """A sheet with the road from above, to scale, that holds the points `window` (n, 2) [m].
+) -> Iterator[tuple[Figure, list[Axes], float]]:
+    """A sheet with the road from above, to scale and in one piece, that holds the points `window` (n, 2) [m].
 
-    Yields the figure, of each mounting its stretches of road, and where they end on paper and the key begins [mm].
+    Yields the figure, a panel for each mounting, and where they end on paper and the key begins [mm].
     """
-    x_edges, (low, high) = _stretches(window)
-    panel_mm = _PANEL_MM * (high - low) / (x_edges[1] - x_edges[0])
-    tops = _HEADING_MM + (panel_mm + _TICKS_MM) * np.arange(len(x_edges))  # of the panels, and the end of a mounting
-    first = header_mm(title, subtitle) + (tops[-1] * np.arange(mountings + 1))
-    with sheet(path, first[-1] + key_mm, title, subtitle, to_scale=True) as figure:
-        panels = [
-            [place(figure, _LEFT_MM, over + top, _PANEL_MM, panel_mm) for top in tops[:-1]] for over in first[:-1]
-        ]
-        for stretches in panels:
-            for axes, ends in zip(stretches, pairwise(x_edges), strict=True):
-                axes.set(xlim=ends, ylim=(low, high), ylabel="y [m]")
-                axes.yaxis.get_major_locator().set_params(integer=True)
-        axes.set_xlabel(TRAVEL_LABEL)
-        yield figure, panels, float(first[-1])
-
-
-def _stretches(window: np.ndarray) -> tuple[np.ndarray, tuple[float, float]]:
-    """Edges along x of the pieces of road that hold the points (n, 2), and their common range of y [m]."""
     low, high = window.min(axis=0) - _MARGIN_M, window.max(axis=0) + _MARGIN_M
     length, width = high - low
     missing = max(width / _STEEPEST - length, 0.0)
-    pieces = math.ceil((length + missing) / _LONGEST_M)
-    return np.linspace(low[0] - 0.5 * missing, high[0] + 0.5 * missing, pieces + 1), (low[1], high[1])
+    panel_mm = _PANEL_MM * width / (length + missing)
+    first = header_mm(title, subtitle) + (_HEADING_MM + panel_mm + _TICKS_MM) * np.arange(mountings + 1)
+    with sheet(path, first[-1] + key_mm, title, subtitle, to_scale=True) as figure:
+        panels = [place(figure, _LEFT_MM, over + _HEADING_MM, _PANEL_MM, panel_mm) for over in first[:-1]]
+        for axes in panels:
+            ends = low[0] - 0.5 * missing, high[0] + 0.5 * missing
+            axes.set(xlim=ends, ylim=(low[1], high[1]), ylabel="y [m]")
+            axes.yaxis.get_major_locator().set_params(integer=True)
+        axes.set_xlabel(TRAVEL_LABEL)
+        yield figure, panels, float(first[-1])
 
 
 def _draw_panel(axes: Axes, sight: Sight, corners: np.ndarray) -> tuple[PathCollection, list[Artist]]:
@@ -261,13 +247,12 @@ def plot_detections(
     ]
     window = np.concatenate([poles, *(corners.reshape(-1, 2) for corners in counted)])
     with _panels(path, window, len(found), _LEGEND_MM, title, subtitle) as (figure, panels, _):
-        for one, stretches in zip(found, panels, strict=True):
-            for axes in stretches:
-                entries = _draw_found(axes, frame, one)
+        for one, axes in zip(found, panels, strict=True):
+            entries = _draw_found(axes, frame, one)
             hits, vehicles = np.count_nonzero(one.vehicle >= 0), np.count_nonzero(frame.counted)
             alarms = len(one.boxes) - int(hits) - int(np.count_nonzero(one.ignored))
             text = f"{hits} of {vehicles} vehicles found, {alarms} false alarm{'s' * (alarms != 1)}"
-            stretches[0].set_title(f"{one.name}: {mounting_text(one.mounting.as_table(), leans=leaning)}\n{text}")
+            axes.set_title(f"{one.name}: {mounting_text(one.mounting.as_table(), leans=leaning)}\n{text}")
         legend_below(figure, entries, columns=4)
 
 
