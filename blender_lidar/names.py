@@ -10,7 +10,7 @@ BARRIERS = ("concrete", "guard_rail")
 KINDS = ("car", "truck or bus", "motorcycle")  # of vehicles, which detectors tell apart; a van is a car
 TRAFFIC_FORMATS = ("auto", "ngsim", "sumo", "table")
 # Of what cannot be true of traffic.
-WARNINGS = ("grade", "sizes", "time-step", "tracks", "headings", "carriageway", "overlaps")
+WARNINGS = ("grade", "sizes", "time-step", "tracks", "headings", "bend", "carriageway", "overlaps")
 SENSOR_SUFFIXES = (".toml", ".csv")
 CLOUD_SUFFIXES = (".npz", ".pcd", ".ply", ".bin", ".las", ".laz")
 DATASET_LAYOUTS = ("npz", "kitti", "nuscenes")

@@ -168,6 +168,11 @@ STOPS = {  # by name: the rows, the scene, and what the line says
         {},
         "one heading for all although the road bends.*--accept headings",
     ),
+    "a bend in a long region": (
+        bend(100.0),
+        {"region": CIRCLE_40, "sensor": {"range_gate_m": 60.0}},
+        r"the road bends by 4\d deg within the region, [678]\.\d m off a straight line.*--accept bend",
+    ),
     "front bumpers": (jam(0.5), {}, "bumpers and not box centres.*--accept overlaps"),
     "rear bumpers": (jam(-0.5), {}, "bumpers and not box centres.*--accept overlaps"),
     "trucks ten times too small": (of_class("truck", 0.1), {}, "median truck is 1.1 .*another unit.*--accept sizes"),

@@ -13,6 +13,7 @@ from ..road.road_map import wrap_angle
 from ..traffic.tracks import central_velocity, held_heading
 from ..traffic.vehicles import Placing, Recording
 from . import usual
+from .region import Region
 from .scenario import Scenario
 
 # --- How vehicles move --------------------------------------------------------------------------------------------
@@ -334,3 +335,28 @@ def _there_again(recording: Recording) -> tuple[float, float]:
         if not np.intersect1d(*ids).size:
             later_s.append(recording.frame_time_s[other] - recording.frame_time_s[one])
     return len(later_s) / len(looks), float(np.median(later_s)) if later_s else 0.0
+
+
+def bend(tracks: Tracks, region: Region) -> str | None:
+    """A road that bends within the region: the sagitta of the vehicles' ways, beside a scene's straight lanes.
+
+    A polygon may hold a crossing, where vehicles turn, and is not looked at.
+    """
+    inside = np.flatnonzero(np.hypot(*(tracks.xy - region.centre_xy).T) <= region.radius_m)
+    if region.polygon or not len(inside):
+        return None
+    first = np.flatnonzero(np.diff(tracks.vehicle[inside], prepend=-1))
+    start, end = inside[first], inside[np.append(first[1:], len(inside)) - 1]
+    length = np.hypot(*(tracks.xy[end] - tracks.xy[start]).T)
+    turn = wrap_angle(tracks.heading_rad[end] - tracks.heading_rad[start])
+    whole = length >= region.radius_m
+    if whole.sum() < usual.FEWEST:
+        return None
+    turn, length = float(np.median(turn[whole])), float(np.median(length[whole]))
+    aside = length * abs(turn) / 8.0
+    if aside <= usual.SAGITTA_M:
+        return None
+    return (
+        f"the road bends by {abs(math.degrees(turn)):.0f} deg within the region, {aside:.1f} m off a straight line, "
+        "and a scene's lanes are straight; choose a shorter [region]"
+    )
