@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..casting import BVH, EXACT
 from ..scene.deployment import SearchSpace
 from ..scene.mounting import Mounting, mast_at
 from ..scene.observation import CountedFrame
@@ -150,7 +151,7 @@ def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
 
 # --- Coverage under it ------------------------------------------------------------------------------------------------
 
-_FRAMES = 20  # of the judging ones: the share to a few points, in a twentieth of a run's time
+_FRAMES, _SLOW_FRAMES = 20, 3  # of the judging ones: the share to a few points, in a twentieth of a run's time
 REPAIRED = 0.02  # of the recorded share is all that may be missing
 _HIGHEST_M, _STEP_M = 12.0, 0.5
 _TILTS_DEG = (0.0, 5.0, 10.0)  # more than planned, as a higher LiDAR needs
@@ -184,7 +185,8 @@ def _judging(site: Site) -> Site:
     """The site with a few of the frames that judge, the held-out ones where there are any, as its searched ones."""
     split = "holdout" if site.holdout else "search"
     frames = getattr(site, split)
-    kept = evenly_spread(len(frames), min(_FRAMES, len(frames)))
+    most = _SLOW_FRAMES if site.observation.caster in (BVH, EXACT) else _FRAMES
+    kept = evenly_spread(len(frames), min(most, len(frames)))
     parts = {name: getattr(site.plan, f"{split}{name}")[kept] for name in ("", "_block", "_recording")}
     none = np.zeros(0, dtype=np.int64)
     plan = replace(site.plan, **{f"search{name}": part for name, part in parts.items()})
