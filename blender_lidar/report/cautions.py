@@ -88,7 +88,7 @@ def lorries_text(result: Mapping) -> str:
     other = result["other_traffic"]
     whole, repair = other["recorded"], other["repair"]
     worst = next(mix for mix in other["mixes"] if mix["lorries"] == 1.0)
-    if whole["detectable_share"] is None or worst["detectable_share"] is None:
+    if whole["detectable_share"] is None or worst["detectable_share"] is None or repair is None:
         return ""
     after, before = map(_share_with_interval, (worst, whole))
     text = f"If all vehicles of {worst['lanes']} were lorries, {after} would be detectable instead of {before}"

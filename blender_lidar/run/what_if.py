@@ -177,16 +177,18 @@ def other_traffic(site: Site, mounting: Mounting) -> dict[str, object]:
         near = changed if near is None and mix.lorries == LORRY_SHARES[-1] else near
         told = {"what": mix.what, "value": mix.value, "lanes": mix.lanes, "lorries": mix.lorries}
         rows.append(told | _coverage(changed, mounting))
-    repair = _repair(near, mounting, whole["detectable_share"])
+    drives = any(frame.counted.any() for frame in near.search)
+    repair = _repair(near, mounting, whole["detectable_share"]) if drives else None
     return {"frames": len(few.search), "recorded": whole, "mixes": rows, "repair": repair}
 
 
 def _judging(site: Site) -> Site:
     """The site with a few of the frames that judge, the held-out ones where there are any, as its searched ones."""
-    split = "holdout" if site.holdout else "search"
+    split = "holdout" if any(frame.counted.any() for frame in site.holdout) else "search"
     frames = getattr(site, split)
+    filled = np.flatnonzero([frame.counted.any() for frame in frames])
     most = _SLOW_FRAMES if site.observation.caster in (BVH, EXACT) else _FRAMES
-    kept = evenly_spread(len(frames), min(most, len(frames)))
+    kept = filled[evenly_spread(len(filled), min(most, len(filled)))]
     parts = {name: getattr(site.plan, f"{split}{name}")[kept] for name in ("", "_block", "_recording")}
     none = np.zeros(0, dtype=np.int64)
     plan = replace(site.plan, **{f"search{name}": part for name, part in parts.items()})
