@@ -89,9 +89,15 @@ def test_workers_change_nothing(of, detector, scene, tmp_path, capsys, all_start
         out, asked = tmp_path / f"found_{workers}", scene if of == "scene" else tmp_path / of
         done(capsys, "detect", asked, "--detector", detector, "--workers", workers, "--out", out)
         files.append({path.name: path.read_bytes() for path in out.rglob("*.*")})
-    assert files[0] == files[1]
     assert files[0]["detections.csv"].count(b"\n") > 9
     assert all_start[-1] == 2
+    if detector == "classical":
+        assert files[0] == files[1]
+        return
+    # A product of float32 matrices has other last bits with another number of the BLAS's threads.
+    rows = [np.genfromtxt(found["detections.csv"].splitlines(), delimiter=",", skip_header=1) for found in files]
+    np.testing.assert_allclose(rows[0], rows[1], atol=2e-3)
+    assert files[0].keys() == files[1].keys()
 
 
 @pytest.mark.usefixtures("quick")
