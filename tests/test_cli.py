@@ -232,7 +232,7 @@ def test_an_optimum_on_a_bound_is_pointed_out_and_no_other(tmp_path, capsys, hei
     best = json.loads(Path("run/result.json").read_text())["deployment"]["height_m"]
     said = " ".join(out.split())
     assert ("height lies on a bound of [deployment]; " in said) == (best in height_m)
-    assert (f"; at {best + 1.0:.2f} m the detectable share would change by " in said) == (best == height_m[1])
+    assert (f"; at {best + 1.0:.2f} m and a tilt of " in said) == (best == height_m[1])
 
 
 def test_a_search_that_finds_nothing_better_than_the_baseline_says_so(tmp_path, capsys):

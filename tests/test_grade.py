@@ -40,6 +40,11 @@ def test_heights_of_the_roads_own_grade_put_the_boxes_on_its_plane(tmp_path, gra
     np.testing.assert_allclose(recording.centre_m[:, 2], recording.size_m[:, 2] / 2)
 
 
+def test_on_a_level_road_a_slope_that_its_grade_allows_puts_the_boxes_on_it_too(tmp_path):
+    recording = recording_of(tmp_path, 0.0, lambda x: 412.0 + 0.008 * x)
+    np.testing.assert_allclose(recording.centre_m[:, 2], recording.size_m[:, 2] / 2)
+
+
 @pytest.mark.parametrize("said", [0.0, -5.0])
 def test_a_grade_of_the_wrong_sign_or_left_out_stops(tmp_path, said):
     expected = rf"rise by \+5\.0 % along x, and \[road\] grade_percent says {said:g}; probably it should be 5\.0"

@@ -42,6 +42,7 @@ def sheet(tmp_path):
                 "holdout": holdout,
                 "baseline": {**BASE_SCORES, "holdout": holdout and HELD_OUT_BASE},
                 "map": score_map,
+                "bounds": {"height_m": [2.0, 4.5], "tilt_x_deg": [0.0, 25.0]},
                 "pointing": pointing(site, site.scenario.mounting(MOUNT | mount)),
                 "other_traffic": other_traffic(site, site.scenario.mounting(MOUNT | mount)),
                 "assumptions": ["Heights are guessed"],
@@ -72,7 +73,7 @@ def test_height_place_and_scores_are_those_of_the_result(sheet):
     assert "15.0 deg down towards the road, bearing 0 deg" in text
     assert "x 1.50 m, y 0.00 m in the recording's coordinates (x and y of the table)" in text
     assert "- assumed: Heights are guessed.\n- A note on frames.\n" in text
-    assert "75 % of the vehicles are detectable instead of 50 % under the baseline, 25 points more" in text
+    assert "75 % of the vehicles are detectable instead of 50 % under the baseline, 25 percentage points more" in text
     assert "the objective gains 0.75 bits per vehicle" in " ".join(text.split())
     assert "20 Hz" in text
     assert max(map(len, text.splitlines())) <= 120
@@ -135,7 +136,9 @@ def test_the_target_stands_where_the_lowest_ring_meets_the_ground(sheet):
 
 def test_the_range_of_the_optimum_is_given_where_there_is_one(sheet):
     interval = {"height_m": [3.9, 4.4], "tilt_x_deg": [17.0, 20.0]}
-    assert "between 3.9 and 4.4 m" in sheet(score_map={"optimum_interval_90": interval})
+    text = " ".join(sheet(score_map={"points": [11, 26], "optimum_interval_90": interval}).split())
+    assert "height between 3.90 and 4.40 m and the best tilt between 17 and 20 deg" in text
+    assert "on a grid of 0.25 m by 1 deg; the mounting found lies between its points" in text
     assert "resampled blocks" not in sheet(score_map={"optimum_interval_90": None})
 
 

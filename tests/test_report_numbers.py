@@ -126,14 +126,14 @@ def test_the_answer_gives_mounting_shares_gains_and_intervals_of_the_held_out_fr
         f"Hang the RS-16 {place['height_m']:.2f} m above the road, tilted {place['tilt_x_deg']:.1f}° down towards "
         "the road: on "
         "held-out traffic (40 boxes of 12 vehicles) 88 % of the vehicles are detectable (90 % interval 83 to 93) "
-        "instead of 65 % (59 to 71) under the baseline, 23 points more (19 to 28), and the objective gains 0.16 bits "
-        "per vehicle (0.01 to 0.31)."
+        "instead of 65 % (59 to 71) under the baseline, 23 percentage points more (19 to 28), and the objective "
+        "gains 0.16 bits per vehicle (0.01 to 0.31)."
     )
     own = result_of(RunFolder(stored_runs / "searched"))
     assert page.text(page.find("p", **{"class": "answer"})[0]) == answer(own)
     figures = dict(key_figures(result))
     assert figures["detectable on held-out traffic (90 %: 83 to 93)"] == "65 \N{RIGHTWARDS ARROW} 88 %"
-    assert figures["gain in detectable vehicles (90 %: +19 to +28)"] == "+23 points"
+    assert figures["gain in detectable vehicles (90 %: +19 to +28)"] == "+23 percentage points"
     assert figures["gain in objective per vehicle (90 %: +0.01 to +0.31)"] == "+0.16 bits"
 
 
@@ -148,6 +148,7 @@ def test_a_number_has_the_digits_that_its_interval_allows(ends, decimals):
 def test_the_answer_hides_no_doubt(stored_runs):
     result = result_of(RunFolder(stored_runs / "searched"))
     held, base = result["holdout"] | {"blocks": 6, "interval_90": [0.1, 0.2]}, result["baseline"]
+    held |= {"detectable_share_gain_interval_90": [0.1, 0.3]}
 
     def said(**changes):
         return answer(result | {"holdout": held | changes})
@@ -159,13 +160,18 @@ def test_the_answer_hides_no_doubt(stored_runs):
         "Held-out traffic does not confirm the search; the best mounting found has the RS-16 "
     )
     assert said(interval_90=[-0.1, 0.2]).startswith("Held-out traffic does not show that this gains anything ")
+    for shares in (None, [0.0, 0.3], [-0.1, 0.3]):
+        assert said(detectable_share_gain_interval_90=shares).startswith(
+            "Held-out traffic shows a gain in the objective, but not that more vehicles become detectable; the best "
+        )
+    assert said(detectable_share_gain_interval_90=[-0.3, -0.1]).startswith("Held-out traffic does not confirm the ")
     assert said(blocks=5).startswith("Held-out traffic is only 5 blocks of time, too few to be sure of an interval; ")
     assert said(interval_90=None).startswith("Too few blocks of time are held out for an interval; ")
     few = {"detectable_share_interval_90": None, "distinct_vehicles": 9}
     assert said(**few).endswith("; shares have no interval, as there are fewer than 10 different vehicles.")
     assert answer(result | {"objective": base["objective"]}).startswith("No mounting that was tried is better")
     whole = answer(result_of(RunFolder(stored_runs / "whole")))
-    assert whole.startswith("Traffic that did not choose it does not confirm the search; the best mounting found has ")
+    assert whole.startswith("Traffic left out in turn does not confirm the search; the best mounting found has ")
     alone = answer(result_of(RunFolder(stored_runs / "whole")) | {"cross_fitted": None})
     assert alone.startswith("Nothing was held out, so this has no independent check; the best mounting found has ")
     assert "on the traffic that was used to choose the mounting" in alone
@@ -177,7 +183,7 @@ def test_the_answer_hides_no_doubt(stored_runs):
 
 def test_a_sensor_of_ones_own_is_named_as_a_name(stored_runs):
     result = result_of(RunFolder(stored_runs / "searched"))
-    assert answer(result | {"sensor": "own"}).startswith('Hang the LiDAR "own" ')
+    assert ' has the LiDAR "own" ' in answer(result | {"sensor": "own"})
 
 
 @pytest.mark.parametrize(("share", "said"), [(0.0, "No vehicle is"), (1.0, "Every vehicle is"), (0.5, "")])

@@ -124,6 +124,11 @@ def test_frames_meet_all_of_a_cycle():
     assert np.unique(plan.search % 120 // 15).size == 8
 
 
+def test_no_frame_is_drawn_twice_where_nearly_all_are_drawn():
+    plan = plan_frames(recording_of(crossing(60, length_s=400), step_s=10.0), everywhere, count=30, holdout=0.0)
+    assert np.unique(plan.search).size == len(plan.search) == 30
+
+
 def test_blocks_that_are_given_too_short_for_a_signal_are_told():
     plan = plan_frames(recording_of(crossing(90)), everywhere, block_s=30.0)
     assert any(note.startswith("blocks of 30 s may make intervals too narrow") for note in plan.notes)

@@ -49,6 +49,14 @@ def bend(radius_m=300.0, heading_deg=None):
     return rows
 
 
+def both_ways(rows):
+    """The same rows, every other vehicle driving the same way backwards in time."""
+    last = max(row[0] for row in rows)
+    ahead = [row for row in rows if row[1] % 2]
+    back = [[last - row[0], *row[1:8], row[8] + 180.0, 0.5 * (last - row[0])] for row in rows if not row[1] % 2]
+    return sorted(ahead + back, key=lambda row: row[0])
+
+
 def jam(ahead=0.0):
     """Rows of a dense jam of cars and trucks; places so many lengths ahead of the boxes' middles."""
     rng = np.random.default_rng(1)
@@ -171,6 +179,11 @@ STOPS = {  # by name: the rows, the scene, and what the line says
     "a bend in a long region": (
         bend(100.0),
         {"region": CIRCLE_40, "sensor": {"range_gate_m": 60.0}},
+        r"the road bends by 4\d deg within the region, [678]\.\d m off a straight line.*--accept bend",
+    ),
+    "a bend that is driven both ways": (
+        both_ways(bend(100.0)),
+        {"region": CIRCLE_40, "sensor": {"range_gate_m": 60.0}, "road": {"lanes": 1, "carriageways": 2}},
         r"the road bends by 4\d deg within the region, [678]\.\d m off a straight line.*--accept bend",
     ),
     "front bumpers": (jam(0.5), {}, "bumpers and not box centres.*--accept overlaps"),

@@ -79,6 +79,30 @@ def test_the_best_cell_is_as_good_as_itself_and_a_worse_one_is_not_marked(tmp_pa
     assert low["as_good"] == (low["difference_interval_90"][1] >= 0.0)
 
 
+@pytest.mark.parametrize(
+    "fixed",
+    [
+        {"tilt_x_deg": 19.0},
+        {"tilt_y_deg": 8.0, "yaw_deg": 15.0},
+        {"lean_deg": [0.0, 25.0], "lean_direction_deg": 40.0, "tilt_x_deg": None},
+    ],
+)
+def test_angles_that_the_scene_fixes_are_kept(tmp_path, capsys, fixed):
+    scene = scene_of(tmp_path, deployment={"height_m": [2.0, 4.5], **fixed})
+    words = ("table", scene, "--setback", "2", "--height", "4.5", "--json", "--out", tmp_path / "t")
+    cell = json.loads(done(capsys, *words)[0])["cells"][0]
+    scenario = load_scenario(scene)
+    axis = scenario.deployment.spaces[0].axes[1]
+    given = {key: value for key, value in fixed.items() if isinstance(value, float)} | {axis: cell[axis]}
+    site = prepare(scenario)
+    with site_evaluator(site, site.search, site.holdout) as evaluator:
+        plan = (changed_mounting(mounting_at(scenario, 2.0, 4.5), scenario.road_map, **given),)
+        share = evaluator.held_out.totals([plan]).detectable_share()[0]
+    assert cell["detectable_share"] == pytest.approx(share, abs=1e-9)
+    if fixed.get("tilt_x_deg"):
+        assert cell["tilt_x_deg"] == 19.0
+
+
 def test_on_the_left_a_mast_moves_to_the_left_and_in_a_median_it_is_refused(tmp_path, capsys):
     left = load_scenario(scene_of(tmp_path, deployment={"side": "left", "height_m": [2.0, 4.5]}))
     near, far = (mounting_at(left, setback, 4.0).xy[1] for setback in (2.0, 6.0))

@@ -20,7 +20,7 @@ from ..report.summary import boxes_text, measured
 from ..report.tables import TextTable, table_text
 from ..run.assumptions import assumptions, site_name
 from ..run.vehicle_table import BoxShares, vehicle_tables
-from ..scene.mounting import Mounting, changed_mounting, mast_at
+from ..scene.mounting import ANGLES, LEANS, Mounting, changed_mounting, mast_at
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
 from ..scoring.evaluation import site_evaluator
@@ -123,18 +123,18 @@ def _with_sensor(args: argparse.Namespace, name: str) -> argparse.Namespace:
 def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> tuple[list[dict], list[str]]:
     """Each setback and height with its best tilt, what is detectable there, and whether the best cell is better."""
     scenario, road = site.scenario, site.scenario.road_map
-    axis = scenario.deployment.spaces[0].axes[1]
-    low, high = scenario.deployment.spaces[0].places[0].bounds.get(axis, (None, None))
+    axis, place = scenario.deployment.spaces[0].axes[1], scenario.deployment.places[0]
+    angles = {key: place.fixed[key] for key in (*ANGLES, *LEANS) if key in place.fixed}
+    tilts = np.linspace(*place.bounds[axis], _TILTS).round(9) if axis in place.bounds else [place.fixed[axis]]
     places = [(setback, height) for setback in setbacks for height in heights]
     hung, worth = [], []
     progress = closing(Progress(len(places), "places"))
     with site_evaluator(site, site.search, site.holdout) as evaluator, progress as shown:
         for setback, height in places:
             plain = mounting_at(scenario, setback, height)
-            tilts = [plain.as_table()[axis]] if low is None else np.linspace(low, high, _TILTS).round(9).tolist()
-            tried = [(changed_mounting(plain, road, **{axis: tilt}),) for tilt in tilts]
+            tried = [(changed_mounting(plain, road, **{**angles, axis: float(tilt)}),) for tilt in tilts]
             objective = evaluator.totals(tried).objective.sum(axis=1)
-            hung.append((tried[int(np.argmax(objective))], tilts[int(np.argmax(objective))]))
+            hung.append((tried[int(np.argmax(objective))], float(tilts[int(np.argmax(objective))])))
             worth.append(objective.max())
             shown.advance(1)
         split = "holdout" if evaluator.held_out.weight.sum() else "search"

@@ -11,13 +11,18 @@ from collections.abc import Mapping
 from ..metrics.catalogue import DETECTABLE, metric_named
 from ..run.what_if import ON_A_BOUND, REPAIRED
 from ..scene.mounting import ANGLES, COORDINATE_NAMES, LEANS
+from ..statistics import FEW_VEHICLES
+from ..traffic.vehicles import counted
 from .summary import (
     LEVEL_DEG,
     as_sentence,
     better_than_baseline,
+    in_brackets,
     judged,
     judged_over_tolerance,
+    leans,
     measured,
+    minus,
     sharp_of,
     span,
     was_searched,
@@ -31,7 +36,7 @@ _DIGITS = {"m": 2, "deg": 1}
 
 def cautions(result: Mapping) -> list[str]:
     """What tolerance, search and map say about how far to trust the optimum, as sentences."""
-    notes = (_crossed_text(result), costliest_text(result), _against_sharp(result), worst_text(result))
+    notes = (crossed_text(result), costliest_text(result), _against_sharp(result), worst_text(result))
     found = [as_sentence(note) for note in (*notes, _undecided_by_threshold(result)) if note]
     if not was_searched(result):
         return found
@@ -51,7 +56,9 @@ def cautions(result: Mapping) -> list[str]:
         if not low + slack < place < high - slack and not upright:
             whose = "its pole" if key == "height_m" and result.get("pole") else "[deployment]"
             beyond = next_metre_text(result) if key == "height_m" and place > low + slack else ""
-            found.append(f"The best {name} lies on a bound of {whose}; {beyond or 'a value beyond it may be better'}.")
+            where = "on" if place in bounds else f"within {slack:.2g} {unit} of"
+            beyond = beyond or "a value beyond it may be better"
+            found.append(f"The best {name} lies {where} a bound of {whose}; {beyond}.")
     if result.get("rungs"):
         tried = sum(rung["candidates"] for rung in result["rungs"])
         found.append(
@@ -70,16 +77,14 @@ def next_metre_text(result: Mapping) -> str:
     """What one metre more than allowed would gain; empty where the height is not on its bound."""
     if (beyond := result.get("next_metre")) is None:
         return ""
-    scores, metric = beyond["holdout"] or beyond, metric_named(result["metric"])
-    points, around = measured(
-        DETECTABLE, *(scores[f"detectable_share_gain{end}"] for end in ("", "_interval_90")), sign="+"
-    )
-    text = f"at {beyond['deployment']['height_m']:.2f} m the detectable share would change by {points} points"
-    text += f" ({around})" if around else ""
-    if "gain_over_baseline" in scores:
-        gain, around = measured(metric, scores["gain_over_baseline"], scores["interval_90"], "+")
-        text += f" and the objective by {gain} {metric.shown_unit}{metric.per_vehicle}"
-        text += f" ({around})" if around else ""
+    metric, mount = metric_named(result["metric"]), beyond["deployment"]
+    ends = (beyond[f"detectable_share_gain{end}"] for end in ("", "_interval_90"))
+    points, around = measured(DETECTABLE, *ends, sign="+")
+    text = f"at {mount['height_m']:.2f} m and {_tilt_text(result, mount)} the detectable share would change by "
+    text += minus(f"{points} percentage points") + in_brackets(around)
+    if "gain_over_baseline" in beyond:
+        gain, around = measured(metric, beyond["gain_over_baseline"], beyond["interval_90"], "+")
+        text += f" and the objective by {minus(f'{gain} {metric.shown_unit}')}{metric.per_vehicle}{in_brackets(around)}"
     return text
 
 
@@ -88,48 +93,65 @@ def lorries_text(result: Mapping) -> str:
     other = result["other_traffic"]
     whole, repair = other["recorded"], other["repair"]
     worst = next(mix for mix in other["mixes"] if mix["lorries"] == 1.0)
-    if whole["detectable_share"] is None or worst["detectable_share"] is None or repair is None:
+    if whole["detectable_share"] is None or worst["detectable_share"] is None:
         return ""
-    after, before = map(_share_with_interval, (worst, whole))
-    text = f"If all vehicles of {worst['lanes']} were lorries, {after} would be detectable instead of {before}"
-    lost = {
-        name: share - worst["by_lane"][name] for name, share in whole["by_lane"].items() if name in worst["by_lane"]
-    }
+    after, before = map(_share_with_count, (worst, whole))
+    text = f"If every car and van of {worst['lanes']} were a lorry, {after} would be detectable instead of {before}, "
+    text += f"in {counted(other['frames'], 'frame')} of those that judge"
+    told = known_lanes(whole).keys() & known_lanes(worst).keys()
+    lost = {name: known_lanes(whole)[name] - known_lanes(worst)[name] for name in sorted(told)}
     if lost and max(lost.values()) > 0.0:
         lane = max(lost, key=lost.get)
-        text += f"; in {lane}, {100 * worst['by_lane'][lane]:.0f} instead of {100 * whole['by_lane'][lane]:.0f} %"
-    if whole["detectable_share"] - worst["detectable_share"] <= REPAIRED:
+        shares = (f"{100 * known_lanes(row)[lane]:.0f}" for row in (worst, whole))
+        text += "; in {}, {} instead of {} %".format(lane, *shares)
+    if repair is None:
         return text
-    share, height = f"about {100 * repair['detectable_share']:.0f} %", f"{repair['height_m']:.1f} m"
-    beyond = "" if repair["within_bounds"] else ", above the allowed heights,"
+    seen = f"about {100 * repair['detectable_share']:.0f} % in these frames"
+    height = f"{repair['height_m']:.2f} m{'' if repair['within_bounds'] else ', above the allowed heights,'}"
+    place = f"{height} and {repair['tilt_deg']:.0f}°"
     if repair["repairs"]:
-        text += f". A height of {height}{beyond} would bring it back ({share})"
+        text += f". A mounting at {place} may bring it back ({seen})"
     else:
-        text += f". No height up to {repair['up_to_m']:g} m brings it back (at best {share}, at {height})"
-    if repair["other_side"] is not None:
-        text += f"; a pole on the other side of the road would see about {100 * repair['other_side']:.0f} %"
+        text += f". No height up to {repair['up_to_m']:g} m brings it back (at best {seen}, at {place})"
+    if (other_side := repair["other_side"]) is not None and other_side > worst["detectable_share"] + REPAIRED:
+        text += f"; the same mounting on the other side of the road would see about {100 * other_side:.0f} %"
     return text
 
 
 def other_traffic_text(result: Mapping) -> str:
-    """Coverage by night, in the rush hour and in a queue."""
-    rows = [mix for mix in result["other_traffic"]["mixes"] if mix["lanes"] is None]
-    shares = [f"{mix['what']} ({mix['value']}) {_share_with_interval(mix)}" for mix in rows if mix["boxes"]]
-    return f"Detectable under other traffic: {', '.join(shares)}" if shares else ""
+    """Coverage in light traffic, in the rush hour and in a queue."""
+    other = result["other_traffic"]
+    rows = [mix for mix in other["mixes"] if mix["lanes"] is None]
+    shares = [f"{mix['what']} ({mix['value']}) {_share_with_count(mix)}" for mix in rows if mix["boxes"]]
+    return f"Detectable in these frames under other traffic: {', '.join(shares)}" if shares else ""
 
 
-def _share_with_interval(mix):
+def known_lanes(mix: Mapping) -> dict[str, float]:
+    """The detectable share of each lane of other traffic that has vehicles enough for one."""
+    lanes = mix["by_lane"].items()
+    return {name: one["detectable_share"] for name, one in lanes if one["distinct_vehicles"] >= FEW_VEHICLES}
+
+
+def _share_with_count(mix):
+    """A share with its interval; without one, as with few vehicles, how many boxes of how many."""
     share, around = measured(DETECTABLE, mix["detectable_share"], mix["interval_90"])
-    return f"{share} %" + (f" ({around})" if around else "")
+    boxes = f"{round(mix['detectable_share'] * mix['boxes']):,} of {counted(mix['boxes'], 'box')}"
+    return f"{share} % ({around})" if around else boxes
 
 
-def _crossed_text(result):
+def _tilt_text(result, mount):
+    """The angle that a scene searches beside the height."""
+    return f"a lean of {mount['lean_deg']:.1f}°" if leans(result) else f"a tilt of {mount['tilt_x_deg']:.1f}°"
+
+
+def crossed_text(result: Mapping) -> str:
     """What figures stand for where every block of time has judged."""
     if not result.get("cross_fitted"):
         return ""
     return (
-        "fewer than six blocks of time are held out, so every block judged the best of the mountings tried without it "
-        "(cross-fitting): the figures are those of this way of choosing, and the mounting is that of the whole search"
+        "fewer than six blocks of time are held out, so each block has judged that mounting, of all that were tried, "
+        "which is best on the other blocks (cross-fitting): the figures are those of this way of choosing; the "
+        "mounting told is the best on all searched blocks"
     )
 
 
@@ -277,10 +299,10 @@ def optimum_text(result: Mapping) -> str:
         return ""
     if spread is None:
         (height, tilt), what = intervals.values(), "lean" if "lean_deg" in intervals else "tilt"
-        places = [f"height {_between(*height, 1)} m", f"the best {what} {_between(*tilt, 0)} deg"]
-        among = (
-            ", on the grid; the mounting found lies between its points, outside that range" if _off_grid(result) else ""
-        )
+        places = [f"height {_between(*height, 2)} m", f"the best {what} {_between(*tilt, 0)} deg"]
+        among = ", on a grid of {:.2g} m by {:.2g} deg".format(*_grid_steps(result))
+        if _off_grid(result):
+            among += "; the mounting found lies between its points, outside that range"
     else:
         named = ((*COORDINATE_NAMES[key], *ends) for key, ends in intervals.items())
         places = [f"{name} {_between(low, high, _DIGITS[unit] - 1)} {unit}" for name, unit, low, high in named]
@@ -297,11 +319,14 @@ def _between(low, high, digits):
 
 def _off_grid(result):
     """Whether the mounting found lies more than half a step of the map's grid outside the interval of the optimum."""
-    found, bounds = (sharp_of(result) or result)["deployment"], result.get("bounds") or {}
-    intervals = result["map"]["optimum_interval_90"]
-    points = result["map"].get("points", ())
-    for number, (key, (low, high)) in zip(points, intervals.items(), strict=False):
-        half_step = 0.5 * (bounds[key][1] - bounds[key][0]) / (number - 1) if key in bounds else 0.0
-        if not low - half_step <= found[key] <= high + half_step:
-            return True
-    return False
+    found, intervals = (sharp_of(result) or result)["deployment"], result["map"]["optimum_interval_90"]
+    return any(
+        not low - 0.5 * step <= found[key] <= high + 0.5 * step
+        for step, (key, (low, high)) in zip(_grid_steps(result), intervals.items(), strict=True)
+    )
+
+
+def _grid_steps(result):
+    """Steps of the score map's grid along its two coordinates."""
+    ends = (result["bounds"][key] for key in result["map"]["optimum_interval_90"])
+    return [(high - low) / (points - 1) for points, (low, high) in zip(result["map"]["points"], ends, strict=True)]

@@ -14,7 +14,7 @@ from ..run.tolerance import tolerance_text
 from ..scene.directions import UPRIGHT_DEG, bearing_deg, pointing
 from ..scene.mounting import Mast
 from ..scene.site import Site
-from .cautions import costliest_text, lorries_text, next_metre_text, optimum_text, other_traffic_text
+from .cautions import costliest_text, crossed_text, lorries_text, next_metre_text, optimum_text, other_traffic_text
 from .summary import as_sentence, assumed_texts, conditions, judged, kept_text, region_text, warnings_text, worth
 
 _WIDTH = 110
@@ -172,7 +172,7 @@ def _expected(result):
 
 def _to_know(result):
     """What was assumed, and what the run notes of its frames and of the traffic as read."""
-    found = [f"assumed: {text}" for text in assumed_texts(result)]
+    found = [*filter(None, [crossed_text(result)]), *(f"assumed: {text}" for text in assumed_texts(result))]
     found += [as_sentence(text) for text in (*result["notes"], *result["traffic_report"]["notes"])]
     lines = [line for text in found for line in textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")]
     return ["", "To know", *lines] if lines else []

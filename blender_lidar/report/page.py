@@ -108,10 +108,9 @@ CHARTS = {
         "boxes in a cell; a cell of few boxes says little. The triangle is the LiDAR.",
     ),
     "other_traffic.png": (
-        "Detectable share under other traffic: lorries by lane, night, rush hour, a queue",
+        "Detectable share under other traffic: lorries by lane, light traffic, rush hour, a queue",
         "Look for rows whose interval lies left of the dashed line, and for the lane that is named there: that traffic "
-        "hides vehicles that the recorded traffic does not. A number that a lorry costs is mended by height, by a pole "
-        "on the other side, or not at all.",
+        "hides vehicles that the recorded traffic does not.",
     ),
     "clouds.png": (
         "One revolution's points on the road from above, for both mountings",

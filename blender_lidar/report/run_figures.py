@@ -16,7 +16,9 @@ from ..run.vehicle_table import METRIC_VALUE, WEIGHT
 from ..run.verdict import REGION_SHARE, ScoreMap, near_best_threshold
 from ..scene.settings import ZoneSettings
 from ..scene.site import Site
+from ..statistics import FEW_VEHICLES
 from ..traffic.vehicles import counted
+from .cautions import known_lanes
 from .cloud_figures import draw_clouds, draw_occupancy
 from .figure import (
     ALONG_LABEL,
@@ -261,13 +263,14 @@ def plot_other_traffic(path: str | Path, result: Mapping) -> None:
         axes = figure.subplots()
         for at, row in enumerate(rows):
             share, ends = 100.0 * row["detectable_share"], row["interval_90"]
-            lanes = [100.0 * one for one in row["by_lane"].values()]
+            by_lane = known_lanes(row)
+            lanes = [100.0 * one for one in by_lane.values()]
             axes.plot(lanes, [at] * len(lanes), zorder=2, **lane_look)
             if ends:
                 axes.plot([100.0 * end for end in ends], [at, at], color=look["color"])
             axes.plot(share, at, zorder=3, clip_on=False, **look)
             if lanes and min(lanes) < share:
-                lane = min(row["by_lane"], key=row["by_lane"].get)
+                lane = min(by_lane, key=by_lane.get)
                 axes.annotate(lane, (min(lanes), at), (-3, 0), textcoords="offset points", ha="right", va="center")
         axes.axvline(100.0 * rows[0]["detectable_share"], color=INK, linestyle="--", linewidth=1.0)
         names = [", ".join(filter(None, (row["what"], row["value"]))) for row in rows]
@@ -276,7 +279,9 @@ def plot_other_traffic(path: str | Path, result: Mapping) -> None:
         axes.grid(visible=True, axis="x")
         handles = [
             Line2D([], [], **{**look, "linestyle": "-", "label": "all vehicles, 90 % interval"}),
-            Line2D([], [], **lane_look, label="each lane; the one seen least is named"),
+            Line2D(
+                [], [], **lane_look, label=f"each lane of {FEW_VEHICLES} vehicles or more; the one seen least is named"
+            ),
             Line2D([], [], color=INK, linestyle="--", label="as recorded"),
         ]
         legend_below(figure, handles, columns=3)

@@ -8,7 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from ..metrics.catalogue import metric_named
-from ..studies.findings import SHARE_LIMITS, STABLE, UNDECIDED, VERDICT_RULE, VERDICTS, worst
+from ..studies.findings import (
+    AT_LEAST_FRAGILE,
+    AT_MOST_FRAGILE,
+    FAILS,
+    FRAGILE,
+    SHARE_LIMITS,
+    STABLE,
+    UNDECIDED,
+    VERDICT_RULE,
+    VERDICTS,
+    worst,
+)
 from ..studies.variations import SECTIONS
 from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, SMALL_PT, legend_below, sheet
 from .study import Section, StudyReport
@@ -38,10 +49,12 @@ def _about(result: Mapping) -> str:
 
 # They differ in lightness where print is grey, and in the marker without any colour.
 VERDICT_LOOKS = {
-    "stable": {"color": OPTIMISED_LOOK["color"], "marker": "o"},
-    "fragile": {"color": "#5b8fc7", "marker": "^"},
-    "fails": {"color": BASELINE_LOOK["color"], "marker": "s", "markerfacecolor": "white"},
-    "undecided": {"color": "0.55", "marker": "x"},
+    STABLE: {"color": OPTIMISED_LOOK["color"], "marker": "o"},
+    AT_MOST_FRAGILE: {"color": OPTIMISED_LOOK["color"], "marker": "o", "markerfacecolor": "white"},
+    FRAGILE: {"color": "#5b8fc7", "marker": "^"},
+    AT_LEAST_FRAGILE: {"color": BASELINE_LOOK["color"], "marker": "^", "markerfacecolor": "white"},
+    FAILS: {"color": BASELINE_LOOK["color"], "marker": "s", "markerfacecolor": "white"},
+    UNDECIDED: {"color": "0.55", "marker": "x"},
 }
 _LEAST_POINTS, _MOST_POINTS = -30.0, 100.0  # a loss beyond is drawn at the rim
 _LINEAR_POINTS = 1.0
@@ -131,7 +144,7 @@ def _head(result: Mapping) -> list[str]:
     metric, place = metric_named(result["metric"]), place_text(result["mounting"], leans=bool(result.get("leans")))
     origin = f"found by {result['search']}, seed {result['seed']}"
     if result["answered_frames"] < result["frames"]:
-        origin += f", on {result['answered_frames']} of the frames"
+        origin += f", on {result['answered_frames']} of the frames; --height and --tilt-x give another"
     if result["mounting_given"]:
         origin = "as given"
     best, base = metric.number(result["objective_per_vehicle"]), metric.number(result["baseline_per_vehicle"])
@@ -152,7 +165,7 @@ def _answer(result: Mapping) -> list[str]:
     for section, findings in _by_section(result).items():
         verdicts = [one["verdict"] for one in findings]
         counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in VERDICTS if verdict in verdicts)
-        if (gravest := worst(verdicts)) not in (STABLE, UNDECIDED):
+        if (gravest := worst(verdicts)) not in (STABLE, AT_MOST_FRAGILE, UNDECIDED):
             named = [_name(one, " ") for one in findings if one["verdict"] == gravest]
             more = "; ..." if len(named) > _MOST_NAMED else ""
             counts = f"at worst {gravest} ({counts}): {'; '.join(named[:_MOST_NAMED])}{more}"

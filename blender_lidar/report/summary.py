@@ -114,7 +114,7 @@ def place_text(mount: Mapping[str, float], *, leans: bool = False, pointing: Map
 def judged(result: Mapping) -> tuple[Mapping, Mapping, str]:
     """Scores of the mounting and of the baseline where they are judged, and what traffic that is."""
     if (crossed := result.get("cross_fitted")) is not None:
-        return crossed["optimised"], crossed["baseline"], "traffic that did not choose it"
+        return crossed["optimised"], crossed["baseline"], "traffic left out in turn"
     if result["holdout"] is not None:
         return result["holdout"], result["baseline"]["holdout"], "held-out traffic"
     on = "the traffic that was used to choose the mounting" if was_searched(result) else "the scored traffic"
@@ -331,22 +331,22 @@ def key_figures(result: Mapping) -> list[tuple[str, str]]:
     figures = [
         ("height above the road", f"{mount['height_m']:.2f} m"),
         *_orientation(result).items(),
-        (f"detectable on {on}{_in_brackets(within)}", f"{before} \N{RIGHTWARDS ARROW} {after} %"),
+        (f"detectable on {on}{in_brackets(within)}", f"{before} \N{RIGHTWARDS ARROW} {after} %"),
     ]
-    gains = {("detectable vehicles", "points"): (DETECTABLE, "detectable_share_gain")}
+    gains = {("detectable vehicles", "percentage points"): (DETECTABLE, "detectable_share_gain")}
     if not metric.of_share or _is_weighted(result):
         of = "objective, weighted" if metric.of_share else f"objective{metric.per_vehicle}"
-        gains[of, "points" if metric.of_share else metric.unit] = metric, None
+        gains[of, "percentage points" if metric.of_share else metric.unit] = metric, None
     for (what, unit), (of, key) in gains.items():
         value, ends = (
             (found[key], found[f"{key}_interval_90"]) if key else (_gain(found, base), found.get("interval_90"))
         )
         number, within = measured(of, value, ends, "+")
-        figures.append((f"gain in {what}{_in_brackets(within)}", minus(f"{number} {unit}".rstrip())))
+        figures.append((f"gain in {what}{in_brackets(within)}", minus(f"{number} {unit}".rstrip())))
     return figures
 
 
-def _in_brackets(within):
+def in_brackets(within: str) -> str:
     """An interval behind what it belongs to; nothing for none."""
     return f" (90 %: {minus(within)})" if within else ""
 
@@ -382,17 +382,21 @@ def _what_to_do(result):
 def _doubt(result):
     """Why the traffic that judges does not carry the advice to hang a LiDAR there; "" where it does."""
     found, base, on = judged(result)
-    ends, on = found.get("interval_90"), f"{on[0].upper()}{on[1:]}"
+    ends, shares, on = found.get("interval_90"), found["detectable_share_gain_interval_90"], f"{on[0].upper()}{on[1:]}"
     if found is result:
         return "Nothing was held out, so this has no independent check"
     if ends is None:
         return "Too few blocks of time are held out for an interval"
-    if ends[1] < 0.0 or _gain(found, base) < 0.0:
+    if ends[1] < 0.0 or _gain(found, base) < 0.0 or (shares and shares[1] < 0.0):
         return f"{on} does not confirm the search"
     if ends[0] <= 0.0:
         return f"{on} does not show that this gains anything (the interval of the gain holds 0)"
+    if not shares or shares[0] <= 0.0:
+        return f"{on} shows a gain in the objective, but not that more vehicles become detectable"
     if found["blocks"] < FEW_BLOCKS:
         return f"{on} is only {counted(found['blocks'], 'block')} of time, too few to be sure of an interval"
+    if result["holdout"] is None:
+        return "Nothing was held out, so this very mounting has no independent check"
     return ""
 
 
@@ -407,14 +411,15 @@ def worth(result: Mapping) -> str:
     within = f" (90 % interval {within})" if within else ""
     base_within = f" ({base_within})" if base_within else ""
     number, around = _unsigned(DETECTABLE, share, found["detectable_share_gain_interval_90"])
-    points = f"{number} points {'more' if share > 0.0 else 'fewer'}{around}" if share else f"no difference{around}"
+    points = f"{number} percentage points {'more' if share > 0.0 else 'fewer'}{around}"
+    points = points if share else f"no difference{around}"
     text = f"{after} % of the vehicles are detectable{within} "
     text += f"instead of {before} %{base_within} under the baseline, {points}"
     if not metric.of_share or _is_weighted(result):
         gain = _gain(found, base)
         number, around = _unsigned(metric, gain, found.get("interval_90"))
         of = "weighted share" if metric.of_share else "objective"
-        unit = "points" if metric.of_share else f"{metric.unit} per vehicle".lstrip()
+        unit = "percentage points" if metric.of_share else f"{metric.unit} per vehicle".lstrip()
         text += f", and the {of} {'gains' if gain >= 0.0 else 'loses'} {number} {unit}{around}"
     return text + _no_interval(result, found)
 

@@ -436,7 +436,7 @@ def _conclude(
         "other_traffic": other_traffic(site, layouts["optimised"][0]),
         "assumptions": assumptions(site, tables["optimised"]),
         "warnings": site.recording.report.warnings_as_dicts(),
-        "notes": [note for note in site.plan.notes if crossed is None or not note.startswith(NOTHING_HELD_OUT)],
+        "notes": [note for note in site.plan.notes if crossed is None or NOTHING_HELD_OUT not in note],
         "traffic_report": site.recording.report.as_dict(),
         "identity": site.identity,
         "seconds": round(time.perf_counter() - started, 3),

@@ -147,11 +147,15 @@ def judge_cross_fitted(
     in_held = len(plan.search) + np.searchsorted(plan.holdout, tables["optimised"]["frame"][held])
     of_box = np.concatenate([at, in_held])
     shares = BoxShares(tables[BASELINE_NAME], after, block[of_box], recording[of_box], seed)
-    own_shares = BoxShares(tables[BASELINE_NAME], tables[BASELINE_NAME], block[of_box], recording[of_box], seed)
     size = {"vehicles": len(of_box), "frames": len(block), "blocks": int((mounting.block_weight > 0).sum())}
+    found = shares.share_scores()
+    none = {"detectable_share_gain": 0.0, "detectable_share_gain_interval_90": [0.0, 0.0]}  # over itself
+    before = {**found, **none, "detectable_share_interval_90": shares.shares()["before_interval_90"]}
+    if found["detectable_share_gain_interval_90"] is None:
+        before["detectable_share_gain_interval_90"] = None
     return {
-        name: {**one.scores(), **one.gain_over(base, seed), **size, **boxes.share_scores()}
-        for name, one, boxes in (("optimised", mounting, shares), (BASELINE_NAME, base, own_shares))
+        name: {**one.scores(), **one.gain_over(base, seed), **size, **own}
+        for name, one, own in (("optimised", mounting, found), (BASELINE_NAME, base, before))
     }, shares
 
 

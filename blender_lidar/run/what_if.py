@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -12,7 +12,7 @@ import numpy as np
 
 from ..casting import BVH, EXACT
 from ..scene.deployment import SearchSpace
-from ..scene.mounting import Mounting, mast_at
+from ..scene.mounting import Mounting, changed_mounting, mast_at
 from ..scene.observation import CountedFrame
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
@@ -20,7 +20,7 @@ from ..scoring.fidelity import evenly_spread
 from ..statistics import share_interval_90
 from ..traffic.fleet import BUS, CAR, TRUCK, VAN, Gaps, queued, turned_into
 from ..traffic.vehicles import Vehicles
-from .vehicle_table import add_shares, lanes, vehicle_table, vehicle_tables
+from .vehicle_table import BoxShares, lanes, vehicle_table, vehicle_tables
 from .verdict import BASELINE_NAME, judge
 
 # --- Other traffic ----------------------------------------------------------------------------------------------------
@@ -49,7 +49,7 @@ def with_traffic(
     counts in a searched frame, as recorded or changed, nor copies of it: a queue that closes up brings vehicles into
     the region that were not there yet.
     """
-    step = int(site.recording.vehicle_id.max()) + 1
+    step = _copies_from(site)
     road = site.scenario.road_map
     anchor = float(road.locate(np.array([site.scenario.deployment.nominal_xy])).s_m[0])
     place = {"anchor_m": anchor, "road": road, "copies_from": step}
@@ -70,25 +70,35 @@ def with_traffic(
     return replace(site, search=searched, holdout=tuple(judged))
 
 
+def _copies_from(site: Site) -> int:
+    """More than any vehicle's number: a copy's number modulo this is its original's."""
+    return int(site.recording.vehicle_id.max()) + 1
+
+
 def with_lorries(site: Site, near_to: Sequence[float] | None, near: int | None, share: float, seed: int) -> Site:
     """The site with that share of lorries in the lanes nearest to a place, in all for None; they keep their gaps.
 
     Which cars and vans turn into lorries is drawn once for each vehicle, so that a greater share has those of a smaller
-    one. Lorries and buses that were recorded count among them.
+    one. Lorries and buses that were recorded count among them, motorcycles stay. No vehicle is added.
     """
     road, recording = site.scenario.road_map, site.recording
     ids = np.unique(recording.vehicle_id)
     drawn = np.random.default_rng(seed).random(len(ids))
     chosen = None if near is None else _by_distance(site, near_to)[:near]
 
+    def here(vehicles: Vehicles, *classes: int) -> np.ndarray:
+        found = np.isin(vehicles.class_index, classes)
+        if chosen is None:
+            return found
+        return found & np.isin(road.locate(vehicles.centre_m, vehicles.heading_rad).lane, chosen)
+
+    frames = [recording.vehicles(number) for number in (*site.plan.search, *site.plan.holdout)]
+    small = sum(int(here(vehicles, CAR, VAN).sum()) for vehicles in frames)
+    large = sum(int(here(vehicles, TRUCK, BUS).sum()) for vehicles in frames)
+    missing = (share * (small + large) - large) / max(small, 1)
+
     def turned(vehicles: Vehicles) -> Vehicles:
-        here = np.ones(len(vehicles), dtype=bool)
-        if chosen is not None:
-            here = np.isin(road.locate(vehicles.centre_m, vehicles.heading_rad).lane, chosen)
-        large = here & np.isin(vehicles.class_index, (TRUCK, BUS))
-        small = here & np.isin(vehicles.class_index, (CAR, VAN))
-        missing = (share * (large | small).sum() - large.sum()) / max(int(small.sum()), 1)
-        turns = small & (drawn[np.searchsorted(ids, vehicles.vehicle_id)] < missing)
+        turns = here(vehicles, CAR, VAN) & (drawn[np.searchsorted(ids, vehicles.vehicle_id)] < missing)
         return turned_into(vehicles, vehicles.vehicle_id[turns], TRUCK)
 
     return with_traffic(site, turned, lambda gaps: gaps)
@@ -100,7 +110,7 @@ def _by_distance(site: Site, xy: Sequence[float]) -> np.ndarray:
 
 
 LORRY_SHARES = (0.1, 0.3, 1.0)
-_NIGHT, _RUSH = 0.25, 0.5  # of the vehicles, and of the gaps
+_LIGHT, _RUSH = 0.25, 0.5  # of the vehicles, and of the gaps
 _ON_LANES = 0.5  # of the vehicles that count, for the road map's lanes to be theirs
 
 
@@ -124,13 +134,20 @@ class Mix(NamedTuple):
 
 
 def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
-    """Lorries in the lanes nearest to a place, night, rush hour and a queue.
+    """Lorries in the lanes nearest to a place, light traffic, rush hour and a queue.
 
     Where most vehicles drive off the lanes of the road map, as at a crossing, lorries are in every lane alone.
     """
     road, near = site.scenario.road_map, {1: "the nearest lane", 2: "the two nearest lanes"}
-    counted = np.concatenate([frame.vehicles.centre_m[frame.counted] for frame in site.search])
-    known = len(counted) and road.on(counted).mean() >= _ON_LANES
+    frames = (*site.search, *site.holdout)
+    centre, number = (
+        np.concatenate([getattr(frame.vehicles, what)[frame.counted] for frame in frames])
+        for what in ("centre_m", "lane")
+    )
+    known = len(centre) and road.on(centre).mean() >= _ON_LANES
+    own = number[road.locate(centre).lane == _by_distance(site, near_to)[0]]
+    if known and own.any():
+        near[1] += f" (lane {np.bincount(np.maximum(own, 0)).argmax()})"
     lanes = [(count, name) for count, name in near.items() if known and count < len(road)]
     found = [
         Mix(
@@ -144,9 +161,9 @@ def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
         for count, name in (*lanes, (None, "every lane"))
         for share in LORRY_SHARES
     ]
-    night = Mix("night", "a quarter of the vehicles", partial(thinned, share=_NIGHT), True)
+    light = Mix("light traffic", "a quarter of the vehicles", partial(thinned, share=_LIGHT), True)
     rush, queue = Mix("rush hour", "half the gaps", rush_hour, False), "gaps of {:g} to {:g} m".format(*JAM_GAPS_M)
-    return [*found, night, rush, Mix("queue", queue, jammed, False)]
+    return [*found, light, rush, Mix("queue", queue, jammed, False)]
 
 
 # --- Coverage under it ------------------------------------------------------------------------------------------------
@@ -154,7 +171,7 @@ def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
 _FRAMES, _SLOW_FRAMES = 20, 3  # of the judging ones: the share to a few points, in a twentieth of a run's time
 REPAIRED = 0.02  # of the recorded share is all that may be missing
 _HIGHEST_M, _STEP_M = 12.0, 0.5
-_TILTS_DEG = (0.0, 5.0, 10.0)  # more than planned, as a higher LiDAR needs
+_MORE_DEG = (0.0, 5.0, 10.0)  # than planned, as a higher LiDAR needs
 
 
 def other_traffic(site: Site, mounting: Mounting) -> dict[str, object]:
@@ -164,92 +181,116 @@ def other_traffic(site: Site, mounting: Mounting) -> dict[str, object]:
     -------
     dict
         ``frames`` looked at; ``recorded`` and ``mixes``: ``what`` and its ``value``, ``lanes`` and ``lorries``,
-        ``boxes``, ``distinct_vehicles``, ``detectable_share``, its ``interval_90``, and the shares ``by_lane``; and
-        ``repair`` of lorries alone in the nearest lane: ``height_m`` and ``detectable_share`` of the least height that
-        ``repairs`` it, all but 2 points, or of the best ``up_to_m``, whether that is ``within_bounds``, and the share
-        from a pole on the ``other_side``, None where none can stand.
+        ``boxes``, ``distinct_vehicles``, ``detectable_share``, its ``interval_90``, and both of the latter ``by_lane``;
+        and ``repair`` of lorries alone in the nearest lane where these hide more than 2 points: see `_repair`.
     """
     few, seed = _judging(site), site.scenario.search.seed
     whole = _coverage(with_traffic(few, lambda vehicles: vehicles), mounting)
     rows, near = [], None
     for mix in mixes(few, mounting.xy):
         changed = mix.change(few, seed=seed)
-        near = changed if near is None and mix.lorries == LORRY_SHARES[-1] else near
         told = {"what": mix.what, "value": mix.value, "lanes": mix.lanes, "lorries": mix.lorries}
         rows.append(told | _coverage(changed, mounting))
-    drives = any(frame.counted.any() for frame in near.search)
-    repair = _repair(near, mounting, whole["detectable_share"]) if drives else None
-    return {"frames": len(few.search), "recorded": whole, "mixes": rows, "repair": repair}
+        if near is None and mix.lorries == LORRY_SHARES[-1]:
+            near = changed, rows[-1]["detectable_share"]
+    enough, (lorries, share) = (whole["detectable_share"] or 0.0) - REPAIRED, near
+    repair = _repair(lorries, mounting, enough) if share is not None and share < enough else None
+    return {"frames": len(few.holdout), "recorded": whole, "mixes": rows, "repair": repair}
 
 
 def _judging(site: Site) -> Site:
-    """The site with a few of the frames that judge, the held-out ones where there are any, as its searched ones."""
+    """The site with a few of the frames that judge, held-out or else searched ones, as its only, held-out ones."""
     split = "holdout" if any(frame.counted.any() for frame in site.holdout) else "search"
     frames = getattr(site, split)
     filled = np.flatnonzero([frame.counted.any() for frame in frames])
     most = _SLOW_FRAMES if site.observation.caster in (BVH, EXACT) else _FRAMES
     kept = filled[evenly_spread(len(filled), min(most, len(filled)))]
-    parts = {name: getattr(site.plan, f"{split}{name}")[kept] for name in ("", "_block", "_recording")}
+    parts = {f"holdout{name}": getattr(site.plan, f"{split}{name}")[kept] for name in ("", "_block", "_recording")}
     none = np.zeros(0, dtype=np.int64)
-    plan = replace(site.plan, **{f"search{name}": part for name, part in parts.items()})
-    plan = replace(plan, holdout=none, holdout_block=none, holdout_recording=none)
-    return replace(site, plan=plan, search=tuple(frames[row] for row in kept), holdout=())
+    parts |= dict.fromkeys(("search", "search_block", "search_recording"), none)
+    if split == "search":
+        parts["searched_ids"] = none
+    return replace(site, plan=replace(site.plan, **parts), search=(), holdout=tuple(frames[row] for row in kept))
 
 
 def _coverage(site: Site, mounting: Mounting) -> dict[str, object]:
     """What is detectable of the traffic of a site, with its interval, and by lane where lanes are known."""
     plan, seed = site.plan, site.scenario.search.seed
-    if not any(frame.counted.any() for frame in site.search):
+    if not any(frame.counted.any() for frame in site.holdout):
         return dict.fromkeys(("boxes", "distinct_vehicles"), 0) | {
             "detectable_share": None,
             "interval_90": None,
             "by_lane": {},
         }
-    table = vehicle_table((mounting,), search=Evaluator(site.search, site.observation, site.scoring))
-    at = np.searchsorted(plan.search, table["frame"])
-    of = table["vehicle_id"], plan.search_block[at], seed, plan.search_recording[at]
-    ends = share_interval_90(table["detectable"], *of)
+    table = vehicle_table((mounting,), holdout=Evaluator(site.holdout, site.observation, site.scoring))
+    at, vehicle = np.searchsorted(plan.holdout, table["frame"]), table["vehicle_id"] % _copies_from(site)
+
+    def seen(rows: np.ndarray | slice) -> dict[str, object]:
+        distinct = len(np.unique(vehicle[rows]))
+        return {"distinct_vehicles": distinct, "detectable_share": float(table["detectable"][rows].mean())}
+
+    ends = share_interval_90(table["detectable"], vehicle, plan.holdout_block[at], seed, plan.holdout_recording[at])
     by_lane = lanes(table) if table["lane"].any() else []
     return {
         "boxes": len(at),
-        "distinct_vehicles": len(np.unique(table["vehicle_id"])),
-        "detectable_share": float(table["detectable"].mean()),
+        **seen(slice(None)),
         "interval_90": ends and list(ends),
-        "by_lane": {name: float(table["detectable"][rows].mean()) for name, rows in by_lane},
+        "by_lane": {name: seen(rows) for name, rows in by_lane},
     }
 
 
 def _repair(site: Site, mounting: Mounting, enough: float) -> dict[str, object]:
-    """The least height that sees enough of a site's traffic, or the best, and what a pole on the other side sees."""
-    places = site.scenario.deployment.places
+    """The least height that sees enough of a site's traffic, or the best, and what a pole on the other side sees.
+
+    Returns
+    -------
+    dict
+        ``height_m`` and ``tilt_deg`` (tilt across the road, or lean), ``detectable_share`` there, whether it
+        ``repairs``, ``up_to_m`` what height was looked for and whether it is ``within_bounds``; ``other_side``, the
+        share from a mirrored mounting across the road, None where no mast can stand there.
+    """
+    deployment, road = site.scenario.deployment, site.scenario.road_map
+    places, axis = deployment.places, deployment.spaces[0].axes[1]
     place = min(places, key=lambda one: math.dist([np.mean(one.span(key)) for key in ("x_m", "y_m")], mounting.xy))
     _, high = place.bounds.get("height_m", (mounting.height_m,) * 2)
     up_to_m = max(_HIGHEST_M, high, mounting.height_m + _STEP_M)
     heights = np.arange(mounting.height_m + _STEP_M, up_to_m + 1e-9, _STEP_M)
-    higher = [
-        replace(mounting, height_m=float(height), tilt_x=mounting.tilt_x + math.radians(more))
-        for height in heights
-        for more in _TILTS_DEG
-    ]
-    other = _on_other_side(site, mounting)
-    layouts = [(one,) for one in (*higher, *([other] if other else []))]
-    evaluator = Evaluator(site.search, site.observation, site.scoring)
-    shares = evaluator.totals(layouts).detectable_share()
-    best = shares[: len(higher)].reshape(len(heights), -1).max(axis=1)
-    enough = np.flatnonzero(best >= enough - REPAIRED)
-    row = int(enough[0]) if len(enough) else int(np.argmax(best))
+    tilts = _tilts_beside(mounting, axis, place.bounds, _MORE_DEG)
+    higher = [(height, tilt) for height in heights.tolist() for tilt in tilts]
+    layouts = [(changed_mounting(mounting, road, height_m=height, **{axis: tilt}),) for height, tilt in higher]
+    if (other := _on_other_side(site, mounting)) is not None:
+        layouts.append((other,))
+    shares = Evaluator(site.holdout, site.observation, site.scoring).totals(layouts).detectable_share()
+    seen = shares[: len(higher)]
+    sufficient = np.flatnonzero(seen >= enough)
+    best = int(sufficient[0] if len(sufficient) else np.argmax(seen))
+    height, tilt = higher[best]
     return {
-        "height_m": float(heights[row]),
-        "within_bounds": bool(heights[row] <= high),
-        "repairs": bool(len(enough)),
+        "height_m": height,
+        "tilt_deg": tilt,
+        "within_bounds": bool(height <= high),
+        "repairs": bool(len(sufficient)),
         "up_to_m": float(up_to_m),
-        "detectable_share": float(best[row]),
-        "other_side": float(shares[-1]) if other else None,
+        "detectable_share": float(seen[best]),
+        "other_side": None if other is None else float(shares[-1]),
     }
 
 
+def _tilts_beside(
+    mounting: Mounting, axis: str, bounds: Mapping[str, Sequence[float]], more_deg: Sequence[float]
+) -> list[float]:
+    """The tilt or lean of a mounting and what is by so much more, as far as its bounds allow; it alone where fixed."""
+    planned = mounting.as_table()[axis]
+    if axis not in bounds:
+        return [planned]
+    return sorted({float(np.clip(planned + more, *bounds[axis])) for more in more_deg})
+
+
 def _on_other_side(site: Site, mounting: Mounting) -> Mounting | None:
-    """The mounting on a pole across the road, as far from it; None where the mast stands over or between lanes."""
+    """The mirror image of a mounting across the road, as far from it; None where the mast stands over or between lanes.
+
+    The rotor turns the same way in both: only the order in time of its returns is another.
+    """
     road, side = site.scenario.road_map, site.scenario.road.side_of(mounting.xy)
     if side not in ("left", "right"):
         return None
@@ -257,37 +298,43 @@ def _on_other_side(site: Site, mounting: Mounting) -> Mounting | None:
     x, y = road.at(place.s_m[0], sum(road.edges_t) - place.t_m[0])
     if road.clearance((x, y))[0] <= 0.0:
         return None
-    turned = math.remainder(mounting.mast.facing_rad + math.pi, 2.0 * math.pi)
-    return replace(mounting, mast=mast_at(road, float(x), float(y), turned))
+    facing = math.remainder(2.0 * place.heading_rad[0] - mounting.mast.facing_rad, 2.0 * math.pi)
+    mast = mast_at(road, float(x), float(y), facing)
+    return replace(mounting, mast=mast, tilt_y=-mounting.tilt_y, yaw=-mounting.yaw)
 
 
 # --- Beyond the bound -------------------------------------------------------------------------------------------------
 
 ON_A_BOUND = 0.01  # of the width between two bounds: a search that reflects there comes close and never upon it
-_TILTS_BESIDE_DEG = (-4.0, -2.0, 0.0, 2.0, 4.0)
+_BESIDE_DEG = (-4.0, -2.0, 0.0, 2.0, 4.0)
 
 
 def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, mounting: Mounting) -> dict | None:
     """What a metre more than allowed would gain: None unless the best height lies on its upper bound.
 
-    Of a few tilts about the planned one the best on the searched frames is judged as a run's own mounting is.
+    Of a few tilts about the planned one, the best on the searched frames is judged as a run's own mounting is.
 
     Returns
     -------
     dict or None
-        ``deployment`` and what `run.verdict.judge` and `add_shares` say of it, gains being those over the mounting.
+        ``deployment``, and beside the mounting what `run.verdict.judge` and `BoxShares.share_scores` say of it on the
+        frames that judge.
     """
-    low, high = space.places[0].bounds.get("height_m", (0.0, math.inf))
+    bounds, axis, split = space.places[0].bounds, space.axes[1], "holdout"
+    if "height_m" not in bounds:
+        return None
+    low, high = bounds["height_m"]
     if mounting.height_m < high - ON_A_BOUND * (high - low):
         return None
     higher = [
-        replace(mounting, height_m=mounting.height_m + 1.0, tilt_x=mounting.tilt_x + math.radians(more))
-        for more in _TILTS_BESIDE_DEG
+        changed_mounting(mounting, site.scenario.road_map, height_m=mounting.height_m + 1.0, **{axis: tilt})
+        for tilt in _tilts_beside(mounting, axis, bounds, _BESIDE_DEG)
     ]
     best = higher[int(np.argmax(evaluator.totals([(one,) for one in higher]).objective.sum(axis=1)))]
     layouts, seed = {"optimised": (best,), BASELINE_NAME: (mounting,)}, site.scenario.search.seed
-    verdict = judge(site, layouts, evaluator, seed)
-    splits = {"search": evaluator, "holdout": evaluator.held_out}
-    tables = dict(zip(layouts, vehicle_tables(list(layouts.values()), **splits), strict=True))
-    add_shares(site, verdict, tables, None)
-    return {"deployment": best.as_table(), **verdict["optimised"]}
+    verdict, judging = judge(site, layouts, evaluator, seed)["optimised"], evaluator.held_out
+    if verdict["holdout"] is None:
+        split, seed, judging = "search", None, evaluator
+    after, before = vehicle_tables(list(layouts.values()), **{split: judging})
+    shares = BoxShares.of_split(before, after, split, site.plan, seed).share_scores()
+    return {"deployment": best.as_table(), **(verdict["holdout"] or verdict), **shares}

@@ -348,10 +348,11 @@ def bend(tracks: Tracks, region: Region) -> str | None:
     first = np.flatnonzero(np.diff(tracks.vehicle[inside], prepend=-1))
     start, end = inside[first], inside[np.append(first[1:], len(inside)) - 1]
     length = np.hypot(*(tracks.xy[end] - tracks.xy[start]).T)
-    turn = wrap_angle(tracks.heading_rad[end] - tracks.heading_rad[start])
+    chord, turn = tracks.xy[end] - tracks.xy[start], wrap_angle(tracks.heading_rad[end] - tracks.heading_rad[start])
     whole = length >= region.radius_m
     if whole.sum() < usual.FEWEST:
         return None
+    turn *= np.where(chord @ chord[whole][0] < 0.0, -1.0, 1.0)  # what drives the other way turns the other way
     turn, length = float(np.median(turn[whole])), float(np.median(length[whole]))
     aside = length * abs(turn) / 8.0
     if aside <= usual.SAGITTA_M:

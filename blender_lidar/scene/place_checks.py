@@ -298,9 +298,8 @@ def grades_percent(ground: np.ndarray, middle_m: float) -> tuple[float, float] |
     return found[0], found[1]
 
 
-def grade(recording: Recording, scenario: Scenario) -> str | None:
-    """A ground that rises otherwise than [road] grade_percent says, or has a crest or a dip."""
-    known, said = known_grades(recording, scenario), scenario.road.grade_percent
+def grade(known: tuple[float, float] | None, said: float) -> str | None:
+    """A ground that rises otherwise than [road] grade_percent says, or has a crest or a dip; `known_grades` before."""
     if known is None:
         return None
     before, beyond = known

@@ -72,9 +72,11 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
 
 def _on_plane(recording: Recording, scenario: Scenario) -> Recording:
     """The boxes on the road's plane, where the heights that a table has are those of its grade."""
-    known = known_grades(recording, scenario)
+    known, road = known_grades(recording, scenario), scenario.road
     raised = np.ptp(recording.centre_m[:, 2] - 0.5 * recording.size_m[:, 2]) > 0.0
-    if known is None or not raised or scenario.road.is_level or grade(recording, scenario):
+    if known is None or not raised or grade(known, road.grade_percent):
+        return recording
+    if road.is_level and max(map(abs, known)) < usual.LEVEL_PERCENT:  # `_sizes` says what such heights may be
         return recording
     centre = recording.centre_m.copy()
     centre[:, 2] = 0.5 * recording.size_m[:, 2]
@@ -160,7 +162,7 @@ def _size_notes(seen: _Seen) -> Iterator[str]:
 
 
 _CHECKS: dict[str, Callable[[_Seen], str | None]] = {  # as `names.WARNINGS`: causes before what comes of them
-    "grade": lambda seen: grade(seen.recording, seen.scenario),
+    "grade": lambda seen: grade(known_grades(seen.recording, seen.scenario), seen.scenario.road.grade_percent),
     "sizes": _sizes,
     "time-step": lambda seen: time_step(seen.tracks),
     "tracks": lambda seen: jumps(seen.recording, seen.tracks),

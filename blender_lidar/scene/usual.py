@@ -56,6 +56,7 @@ WIDER = 0.08  # of a lane's width: a map's scale is right to 2 %, feet or a proj
 SAGITTA_M = 2.0  # of a bend: more than half a lane, and vehicles are in the lane beside
 GROUND_M, BESIDE_M = 100.0, 40.0  # along the road and across it: how far the ground is looked at for a grade
 GRADE_PERCENT = 1.0  # a metre in a hundred: maps are that good, and it moves a beam's end by a car's height at 150 m
+LEVEL_PERCENT = 0.2  # less than what a fit to vehicles of other heights gives by itself
 
 # --- Mounting and sensor
 ROUND_DEG, DECIMALS = 5.0, 2  # degrees that people choose; digits that they write radians with

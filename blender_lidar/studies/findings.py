@@ -21,7 +21,7 @@ from ..statistics import FEW_VEHICLES, FEWEST_BLOCKS, best_without_block, block_
 from .candidates import BASELINE, FIRST, Candidates
 from .driver import Landscape, percent
 from .effects import Lost, chosen_shares, searched_weights, share_lost
-from .variations import METRIC, MOUNTING, SEARCH, TRAFFIC
+from .variations import MOUNTING, SEARCH, TRAFFIC
 
 RIVAL = FIRST + 1  # rows of what is judged: the baseline, the mounting in question, its rival, and those as likely
 MOST_RIVALS = 5
@@ -29,17 +29,20 @@ _LIKELY = 0.05  # of the resamples of the searched blocks prefer it
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------
 
-STABLE, FRAGILE, FAILS = "stable", "fragile", "fails"
+STABLE, FRAGILE, FAILS = CLASSES = "stable", "fragile", "fails"
+AT_MOST_FRAGILE, AT_LEAST_FRAGILE = f"{STABLE} or {FRAGILE}", f"{FRAGILE} or {FAILS}"
 UNDECIDED = "undecided"  # no interval, or one that does not tell
-VERDICTS = (STABLE, FRAGILE, FAILS, UNDECIDED)
+VERDICTS = (STABLE, AT_MOST_FRAGILE, FRAGILE, AT_LEAST_FRAGILE, FAILS, UNDECIDED)
 SHARE_LIMITS = (0.01, 0.05)  # of the detectable share: what is lost at most, if stable and if fragile
 REAL_GAIN = 2.0  # half-widths of its 90 % interval
 VERDICT_RULE = (
-    "Verdicts stand on the percentage points of detectable share that the mounting loses to its rival: stable, at most "
-    f"{100 * SHARE_LIMITS[0]:g}; fragile, at most {100 * SHARE_LIMITS[1]:g}; fails, more; undecided, without a 90 % "
-    "interval or with one that reaches from stable to fails: there is too little traffic. The interval reaches up to "
-    "what is lost to any mounting that resampled traffic may prefer. Losses in the metric stand beside; no share is "
-    "told of a gain that is less than twice its noise"
+    "A verdict tells whether another mounting would see more under the change, not what the change costs all of them: "
+    f"stable, the mounting loses at most {100 * SHARE_LIMITS[0]:g} percentage point of detectable share to its rival; "
+    f"fragile, at most {100 * SHARE_LIMITS[1]:g}; fails, more. The 90 % interval of the loss carries it: where that "
+    "reaches over a limit both are told, and over both, or without an interval, it is undecided: there is too little "
+    "traffic. The interval reaches up to what is lost to any mounting that resampled traffic may prefer. The gain over "
+    "the baseline is stable where it is at least twice its noise and more vehicles are detectable, fragile where its "
+    "interval leaves out 0. No share is told of a gain that is less than twice its noise"
 )
 
 
@@ -69,12 +72,12 @@ class Finding:
     numbers: dict = field(default_factory=dict)
 
 
-def by_loss(loss: float, interval: Sequence[float] | None) -> str:
-    """The verdict on a loss with its 90 % interval: undecided without one, or where it reaches from stable to fails."""
-    most_stable, most_fragile = SHARE_LIMITS
-    if interval is None or interval[0] <= most_stable < most_fragile < interval[1]:
+def by_loss(interval: Sequence[float] | None) -> str:
+    """The verdict on a loss by its 90 % interval: all classes that it reaches; undecided without one, or with three."""
+    if interval is None:
         return UNDECIDED
-    return STABLE if loss <= most_stable else FRAGILE if loss <= most_fragile else FAILS
+    first, last = np.searchsorted(SHARE_LIMITS, interval)
+    return " or ".join(CLASSES[first : last + 1]) if last - first < len(SHARE_LIMITS) else UNDECIDED
 
 
 def worst(verdicts: Sequence[str | None]) -> str:
@@ -225,7 +228,7 @@ def judged_finding(
     text = f"{percent(own)} detectable, {rival} {percent(best)}: {losses_text(losses, judges.metric)}{more}"
     told = {**numbers, "vehicles_per_frame": float(np.mean([one.vehicles.mean() for one in draws]))}
     told["detectable_share"] = {"baseline": baseline, "mounting": own, "best": best}
-    return Finding(*change, by_loss(*losses.share[:2]), text, told | losses.numbers)
+    return Finding(*change, by_loss(losses.share.interval_90), text, told | losses.numbers)
 
 
 # --- rivals -----------------------------------------------------------------------------------------------------------
@@ -289,7 +292,8 @@ def values_under(weights: np.ndarray, objective: np.ndarray, vehicles: np.ndarra
 def gain_finding(judged: Landscape, judges: Judges) -> Finding:
     """Whether the mounting is better than the baseline: the baseline, it and again the baseline, as `beside` has them.
 
-    Stable is a gain in the metric of at least `REAL_GAIN` times its noise, fragile one whose interval leaves out 0.
+    Stable is a gain in the metric of at least `REAL_GAIN` times its noise with more vehicles detectable, fragile one
+    whose interval leaves out 0; fails one below 0, of either.
     """
     change, metric = (TRAFFIC, "gain over the baseline", ""), judges.metric
     gained = losses_of([judged], judges)
@@ -303,7 +307,8 @@ def gain_finding(judged: Landscape, judges: Judges) -> Finding:
     if gain.interval_90 is None or share.interval_90 is None:
         return Finding(*change, UNDECIDED, f"{text}too little traffic for an interval", numbers)
     low, high = gain.interval_90
-    verdict = UNDECIDED if low <= 0.0 else STABLE if gain.share >= REAL_GAIN * (high - gain.share) else FRAGILE
+    real = gain.share >= REAL_GAIN * (high - gain.share) and share.interval_90[0] > 0.0
+    verdict = UNDECIDED if low <= 0.0 else STABLE if real else FRAGILE
     if high < 0.0 or share.interval_90[1] < 0.0:
         verdict = FAILS
     points = [_points(one) for one in (share.share, *share.interval_90)]
@@ -419,22 +424,7 @@ def installation_findings(hung: Landscape, tolerance: Tolerance, judges: Judges)
     return [*lines, judged_finding((MOUNTING, "all of these together", ""), draws, judges, "as planned", more)]
 
 
-# --- views so full that PE-VGOP falls where it should rise, and other seeds of the search -----------------------------
-
-PEAK = 1.0 / math.e  # of -P log2 P
-
-
-def saturation_finding(found: Mapping) -> Finding:
-    """How much of what is seen lies where a denser view scores less: -P log2 P falls beyond P = 1/e.
-
-    `found`: how many views were ``seen`` at all, the ``share`` of them beyond that, and ``share_within_10_m``. It is no
-    loss and has no verdict.
-    """
-    share, near, text = found["share"], found["share_within_10_m"], "no view of any vehicle has a return"
-    if share is not None:
-        text = f"{percent(share)} of {found['seen']:,} seen views"
-        text += "" if near is None else f", {percent(near)} of those nearer than 10 m: there a denser view scores less"
-    return Finding(METRIC, "views beyond P = 1/e", "", None, text, dict(found))
+# --- other seeds of the search ----------------------------------------------------------------------------------------
 
 
 def search_finding(

@@ -12,11 +12,10 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from ..metrics.catalogue import METRICS, PE_VGOP, metric_named
+from ..metrics.catalogue import METRICS, metric_named
 from ..plugins import short_name
 from ..run.optimise import fresh_search
 from ..run.tolerance import JUDGED_BASE, errors_from, installation_errors, installed
-from ..run.vehicle_table import vehicle_table
 from ..scene.mounting import Mounting
 from ..scene.settings import Tolerance
 from ..scene.site import Site
@@ -35,7 +34,6 @@ from .driver import (
     study_head,
 )
 from .findings import (
-    PEAK,
     RIVAL,
     SHARE_LIMITS,
     ChangeDraw,
@@ -49,7 +47,6 @@ from .findings import (
     installation_findings,
     likely_rivals,
     optimum_finding,
-    saturation_finding,
     search_finding,
 )
 from .variations import MOUNTING, SECTIONS, TRAFFIC, metric_variations, sensor_variations, traffic_variations
@@ -143,9 +140,6 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
         gain_finding(beside(judged, BASELINE, kept), judges),
         optimum_finding(searched, judged, fine, site.plan.search_block, seed),
     ]
-    if site.scoring.metric == PE_VGOP.name:  # other metrics have no such peak
-        findings.append(saturation_finding(folder.stage("views", lambda: _views_beyond_the_peak(site, reference))))
-
     plan = (scene.baseline,), (reference,)
     hung = Job(Variation(MOUNTING, "installation", ""), (*plan, *_off_plan(reference, tolerance)), judging)
     (off,) = folder.landscapes(few, [hung], "installation errors")
@@ -280,13 +274,3 @@ def _off_plan(plan: Mounting, tolerance: Tolerance) -> list[tuple[Mounting]]:
     limits = errors_from(tolerance, np.stack([-each, each], axis=1).reshape(-1, len(each)))
     errors = np.concatenate([limits, installation_errors(tolerance, JUDGED_BASE)])
     return [(one,) for one in installed(plan, errors)]
-
-
-def _views_beyond_the_peak(site: Site, mounting: Mounting) -> dict:
-    """Share of the views with any return whose occupancy exceeds 1/e, of all and of those nearer than 10 m."""
-    with site_evaluator(site, site.search) as evaluator:
-        table = vehicle_table((mounting,), search=evaluator)
-    views = np.stack([table[view] for view in ("p_top", "p_side", "p_front")], axis=1)
-    every, near = (seen[seen > 0] for seen in (views, views[table["distance_m"] < 10.0]))
-    shares = [float((seen > PEAK).mean()) if len(seen) else None for seen in (every, near)]
-    return {"seen": len(every), "share": shares[0], "share_within_10_m": shares[1]}

@@ -208,8 +208,9 @@ def queued(
     road : RoadMap
         Its lanes, and strips as wide as the usual one beside them, say who drives behind whom.
     filled_to_m : float
-        How far to both sides of the anchor lanes are to be full [m]. A lane of the road that ends nearer is continued
-        with itself, the same vehicles under other numbers, as the recording knows none beyond its ends.
+        How far to both sides of the anchor lanes are to be full [m]; at 0 no vehicle is added. A lane of the road that
+        ends nearer is continued with itself, the same vehicles under other numbers, as the recording knows none beyond
+        its ends.
     copies_from : int
         More than any vehicle's number: a copy has its original's and a multiple of this.
 
@@ -237,7 +238,8 @@ def queued(
         places += x[rows[middle]] - places[middle]
         period = places[-1] - places[0] + 0.5 * (new[0] + new[-1]) + float(np.median(spread))
         x[rows] = places
-        if not 0 <= number < len(road) or period < new.sum():  # a ramp ends where it ends; a pile cannot be continued
+        on_road = 0 <= number < len(road)  # a ramp ends where it ends; a pile cannot be continued
+        if not filled_to_m or not on_road or period < new.sum():
             continue
         before = max(0, math.ceil((places[0] - anchor_m + filled_to_m) / period))
         after = max(0, math.ceil((filled_to_m - places[-1] + anchor_m) / period))

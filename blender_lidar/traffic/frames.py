@@ -296,7 +296,7 @@ def _evenly(part: _Frames, count: int, cycle_s: float | None) -> _Frames:
 
     Frames every 30 s would meet a signal of 90 s in three moments of its cycle alone.
     """
-    place = np.arange(count) * _GOLDEN % 1.0 if cycle_s else 0.5
+    place = np.arange(count) * _GOLDEN % 1.0 if cycle_s and 2 * count <= len(part.frames) else 0.5
     return part.where(((np.arange(count) + place) * len(part.frames) / count).astype(int))
 
 

@@ -29,7 +29,7 @@ from blender_lidar.commands.progress import Progress
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.studies.driver import StudyFolder
-from blender_lidar.studies.findings import FAILS, FRAGILE, SHARE_LIMITS, STABLE, UNDECIDED, VERDICTS
+from blender_lidar.studies.findings import CLASSES, SHARE_LIMITS, UNDECIDED, VERDICTS
 from blender_lidar.studies.stability import QUICK_STABILITY, study_identity, study_stability
 from blender_lidar.toml_table import to_toml
 from make_traffic import run_tool
@@ -133,8 +133,7 @@ def studied(folder: Path, road: Road, times: int, seed: int, workers: int, mount
 
 def class_of(loss: float) -> str:
     """The class of a known loss, by the rule of the verdicts."""
-    most_stable, most_fragile = SHARE_LIMITS
-    return STABLE if loss <= most_stable else FRAGILE if loss <= most_fragile else FAILS
+    return CLASSES[int(np.searchsorted(SHARE_LIMITS, loss))]
 
 
 def compared(told: dict, known: dict) -> Iterator[tuple[str, str, str, bool]]:
@@ -147,7 +146,7 @@ def compared(told: dict, known: dict) -> Iterator[tuple[str, str, str, bool]]:
         classes = [
             class_of(loss) for loss in (true["detectable_share_lost"], *true["detectable_share_lost_interval_90"])
         ]
-        is_false = one["verdict"] not in (UNDECIDED, *classes)
+        is_false = one["verdict"] != UNDECIDED and not set(one["verdict"].split(" or ")) & set(classes)
         yield f"{one['what']} {one['value']}".strip(), one["verdict"], classes[0], is_false
 
 
@@ -170,7 +169,7 @@ def calibrate(args: argparse.Namespace) -> None:
     lines, decided = counts.total(), sum(n for (verdict, _), n in counts.items() if verdict != UNDECIDED)
     print(f"{lines} lines, {decided} with a verdict, {len(false)} false: {100 * len(false) / max(decided, 1):.1f} %")
     for verdict in VERDICTS:
-        row = {true: counts[verdict, true] for true in VERDICTS[:-1]}
+        row = {true: counts[verdict, true] for true in CLASSES}
         print(f"{verdict:<10} {row}")
 
 
