@@ -123,6 +123,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
     said = {
         key: _path(value, folder) if key in ("path", "vehicle_types") else _text(value) for key, value in given.items()
     }
+    grade = _grade_percent(recording, layout)
     across = np.abs(np.subtract(road_map(layout.road).edges_t, layout.pole_y)).max()
     corner = max(math.hypot(along, across) for along in (low, high))
     gate = _GATE_STEP_M * math.ceil((corner + 1.0) / _GATE_STEP_M)
@@ -141,7 +142,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         "# holdout = 0.4  # share of the recording, at its end, that is held out as a check",
         "",
         *_road_lines(layout, kind),
-        *_grade_lines(grades_percent(_ground(recording, layout), 0.5 * (low + high))),
+        *([f"grade_percent = {grade}  # how the file's heights rise along x about the region"] if grade else []),
         "",
         "# Where vehicles count, the same for every mounting: all lanes from one x to another. Or a circle,",
         "# centre_m = [0.0, 0.0] with radius_m = 50.0, or an outline, polygon_m = [[x, y], [x, y], [x, y]].",
@@ -216,9 +217,10 @@ def _road_lines(layout: RoadLayout, kind: str) -> list[str]:
     ]
 
 
-def _grade_lines(grades: tuple[float, float] | None) -> list[str]:
-    mean = 0.0 if grades is None else round(0.5 * sum(grades), 1)
-    return [f"grade_percent = {mean}  # how the file's heights rise along x about the region"] if mean else []
+def _grade_percent(recording: Recording, layout: RoadLayout) -> float:
+    """How the file's heights rise along x about the region [%]; 0 where they are not known."""
+    grades = grades_percent(_ground(recording, layout), 0.5 * sum(_region_m(layout)))
+    return 0.0 if grades is None else round(0.5 * sum(grades), 1) + 0.0
 
 
 def _side_lines(road: StraightRoad) -> list[str]:
@@ -272,10 +274,12 @@ def _summary(recording: Recording, layout: RoadLayout, kind: str, written: list[
     of_file = {"ngsim": f"Local_Y {x:.0f} m", "sumo": f"x {x:.1f}, y {y:.1f} m of the net"}
     heading = "" if kind == "ngsim" else f", heading {layout.placing.heading_deg:g} deg"
     low, high = _region_m(layout)
+    grade = _grade_percent(recording, layout)
     place = of_file.get(kind, f"x {x:.1f}, y {y:.1f} m of the table")
     lines = [
         ("Traffic", f"{recording.source}: {kind}, {counted(len(recording.frames), 'frame')} in {seconds:.0f} s"),
         ("Road", f"{road_text(road)}{heading}, from {_passing(layout)}"),
+        *([("Slope", f"{grade:+.1f} % along x, as the file's heights rise: grade_percent")] if grade else []),
         ("Pole", f"at {place}, {road.setback_m:g} m to the {road.drives_on} of the road"),
         ("Region", f"x {low} to {high} m of all lanes"),
         *(("Note", note.replace("\n", "\n" + 11 * " ")) for note in layout.notes),

@@ -152,13 +152,16 @@ def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> t
         cells.append(cell | {"as_good": None if ends is None else bool(ends[1] >= 0.0)})
     on = "held-out" if split == "holdout" else "the searched frames', so without intervals"
     about = [f"{boxes_text(cells[0])}, {on}"]
+    top = cells[int(np.argmax(worth))]
+    about.append(f"the best cell on the searched frames is {_where(top)}")
     if lowest := [cell for cell in cells if cell["as_good"]]:
         least = min(lowest, key=lambda cell: (cell["height_m"], cell["setback_m"]))
-        about.append(
-            f"{least['height_m']:g} m at a setback of {least['setback_m']:g} m is the least height that is not shown "
-            "to be worse than the best cell"
-        )
+        about[-1] += f"; {_where(least)} is the least height that is not shown to be worse"
     return cells, [*about, *assumptions(site, best)]
+
+
+def _where(cell: Mapping) -> str:
+    return f"{cell['height_m']:g} m at a setback of {cell['setback_m']:g} m"
 
 
 def _text_table(site: Site, cells: Sequence[Mapping], setbacks: Sequence[float], heights: Sequence[float]) -> TextTable:

@@ -103,7 +103,7 @@ def lorries_text(result: Mapping) -> str:
     if lost and max(lost.values()) > 0.0:
         lane = max(lost, key=lost.get)
         shares = (f"{100 * known_lanes(row)[lane]:.0f}" for row in (worst, whole))
-        text += "; in {}, {} instead of {} %".format(lane, *shares)
+        text += "; in {}, {} % instead of {} %".format(lane, *shares)
     if repair is None:
         return text
     seen = f"about {100 * repair['detectable_share']:.0f} % in these frames"

@@ -13,7 +13,7 @@ import numpy as np
 from ..metrics.catalogue import PE_VGOP
 from ..scene.scenario import Scenario
 from ..scene.site import Site
-from ..traffic.vehicles import counted
+from ..traffic.vehicles import FLEET_KINDS, Recording, counted, fleet_kind
 from .folder import RESULT
 
 _PEAK = 1.0 / math.e  # of -P log2 P
@@ -39,9 +39,14 @@ def assumptions(site: Site, table: Mapping[str, np.ndarray]) -> list[str]:
 
     `table` is the vehicle table of the run's mounting.
     """
-    deployment, sensor = site.scenario.deployment, site.model.assumptions
-    found = list(site.recording.report.assumed)
+    deployment, sensor, grade = site.scenario.deployment, site.model.assumptions, site.scenario.road.grade_percent
+    found = [*_heights(site.recording), *site.recording.report.assumed]
     found += [f"The sensor's file leaves open, and is taken to mean: {'; '.join(sensor.values())}"] if sensor else []
+    if grade:
+        way = "rises" if grade > 0.0 else "falls"
+        found.append(
+            f"The road is one plane that {way} by {abs(grade):g} % along x, its surface without a bend or crest"
+        )
     if deployment.side == "gantry":
         found.append(f"Over the lanes {deployment.clearance_m:g} m are kept clear under the LiDAR")
     beyond = np.max([table[view] for view in ("p_top", "p_side", "p_front")], axis=0) > _PEAK
@@ -49,3 +54,17 @@ def assumptions(site: Site, table: Mapping[str, np.ndarray]) -> list[str]:
         boxes = f"{counted(int(beyond.sum()), 'box')} of {len(beyond):,} ({100 * beyond.mean():.0f} %)"
         found.append(f"In {boxes} a view is fuller than 1/e: there PE-VGOP scores still more points lower")
     return found
+
+
+def _heights(recording: Recording) -> list[str]:
+    """Which heights the vehicles of NGSIM, which has none, were given, and how many have them."""
+    if recording.report.format != "ngsim":
+        return []
+    first = np.unique(recording.vehicle_id, return_index=True)[1]
+    kind, height_m = fleet_kind(recording.class_index, recording.size_m[:, 0])[first], recording.size_m[first, 2]
+    counts = []
+    for one in np.unique(kind):
+        ends = (f"{end:.3g}" for end in (height_m[kind == one].min(), height_m[kind == one].max()))
+        vehicles = counted(int((kind == one).sum()), "vehicle")
+        counts.append(f"{FLEET_KINDS[one].replace('_', ' ')} {' to '.join(dict.fromkeys(ends))} m ({vehicles})")
+    return [f"Heights, which NGSIM does not have: {', '.join(counts)}"]

@@ -18,7 +18,7 @@ _AT_MIDDLE_DEG = 10.0  # off the middle of the region, and still towards it
 _NEAR_M = 5.0  # of the middle of the region: too near to point at it
 _ACROSS_DEG = 60.0  # off the way straight to the road, and still towards it
 _FRAMES = {
-    "ngsim": "Local_X to the right, Local_Y ahead",
+    "ngsim": "Local_X right, Local_Y ahead; feet in the file",
     "sumo": "x and y of the net",
     "table": "x and y of the table",
 }

@@ -29,7 +29,7 @@ _LIKELY = 0.05  # of the resamples of the searched blocks prefer it
 
 # --- verdicts ---------------------------------------------------------------------------------------------------------
 
-STABLE, FRAGILE, FAILS = CLASSES = "stable", "fragile", "fails"
+STABLE, FRAGILE, FAILS = LOSS_CLASSES = "stable", "fragile", "fails"
 AT_MOST_FRAGILE, AT_LEAST_FRAGILE = f"{STABLE} or {FRAGILE}", f"{FRAGILE} or {FAILS}"
 UNDECIDED = "undecided"  # no interval, or one that does not tell
 VERDICTS = (STABLE, AT_MOST_FRAGILE, FRAGILE, AT_LEAST_FRAGILE, FAILS, UNDECIDED)
@@ -77,7 +77,7 @@ def by_loss(interval: Sequence[float] | None) -> str:
     if interval is None:
         return UNDECIDED
     first, last = np.searchsorted(SHARE_LIMITS, interval)
-    return " or ".join(CLASSES[first : last + 1]) if last - first < len(SHARE_LIMITS) else UNDECIDED
+    return " or ".join(LOSS_CLASSES[first : last + 1]) if last - first < len(SHARE_LIMITS) else UNDECIDED
 
 
 def worst(verdicts: Sequence[str | None]) -> str:

@@ -25,8 +25,9 @@ HALF_STRETCH_M = 50.0
 _CROSSING_RAD = math.radians(30.0)  # off the road, who drives across it
 _OTHER_WAY_M = 40.0  # from a carriageway's edge, within which oncoming vehicles are of the same road
 _ASSUMED = (
-    "nothing shows on which side of the road vehicles drive (nobody comes the other way, no lane numbers): right-hand "
-    'traffic is assumed; for the left, drives_on = "left" in [road] and side = "left" in [deployment]'
+    "nothing shows on which side of the road vehicles drive (nobody comes the other way, no lanes are known to be "
+    'numbered from the kerb): right-hand traffic is assumed; for the left, drives_on = "left" in [road] and '
+    'side = "left" in [deployment]'
 )
 _OVER_THE_LINE_M = 1.0  # by which vehicles that come the other way drive on it
 SETBACK_M = 2.0

@@ -27,7 +27,7 @@ from .tracks import (
     limited,
     repaired_sizes,
 )
-from .vehicles import FLEET_KINDS, Recording, RepairReport, counted, fleet_kind
+from .vehicles import Recording, RepairReport
 
 FOOT_M = 0.3048
 """International foot, exactly; 0.3084 circulates."""
@@ -151,21 +151,8 @@ def _boxes(
             sizes_repaired=len(np.unique(vehicle[resized])),
             headings_held=int(held.sum()),
             headings_clamped=int((heading != motion).sum()),
-            assumed=(_assumed_heights(vehicle, index, length, height),),
         ),
     )
-
-
-def _assumed_heights(vehicle: np.ndarray, index: np.ndarray, length_m: np.ndarray, height_m: np.ndarray) -> str:
-    """Which heights were given to how many vehicles, as NGSIM has none."""
-    first = np.unique(vehicle, return_index=True)[1]
-    kind, height_m = fleet_kind(index, length_m)[first], height_m[first]
-    counts = []
-    for one in np.unique(kind):
-        each = kind == one
-        name, vehicles = FLEET_KINDS[one].replace("_", " "), counted(int(each.sum()), "vehicle")
-        counts.append(f"{name} {height_m[each][0]:g} m ({vehicles})")
-    return f"Heights, which NGSIM does not have: {', '.join(counts)}"
 
 
 # --- Which of NGSIM's dialects a file speaks: native text, the portal's CSV or its API's ------------------

@@ -29,7 +29,7 @@ from blender_lidar.commands.progress import Progress
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.studies.driver import StudyFolder
-from blender_lidar.studies.findings import CLASSES, SHARE_LIMITS, UNDECIDED, VERDICTS
+from blender_lidar.studies.findings import LOSS_CLASSES, SHARE_LIMITS, UNDECIDED, VERDICTS
 from blender_lidar.studies.stability import QUICK_STABILITY, study_identity, study_stability
 from blender_lidar.toml_table import to_toml
 from make_traffic import run_tool
@@ -133,7 +133,7 @@ def studied(folder: Path, road: Road, times: int, seed: int, workers: int, mount
 
 def class_of(loss: float) -> str:
     """The class of a known loss, by the rule of the verdicts."""
-    return CLASSES[int(np.searchsorted(SHARE_LIMITS, loss))]
+    return LOSS_CLASSES[int(np.searchsorted(SHARE_LIMITS, loss))]
 
 
 def compared(told: dict, known: dict) -> Iterator[tuple[str, str, str, bool]]:
@@ -169,7 +169,7 @@ def calibrate(args: argparse.Namespace) -> None:
     lines, decided = counts.total(), sum(n for (verdict, _), n in counts.items() if verdict != UNDECIDED)
     print(f"{lines} lines, {decided} with a verdict, {len(false)} false: {100 * len(false) / max(decided, 1):.1f} %")
     for verdict in VERDICTS:
-        row = {true: counts[verdict, true] for true in CLASSES}
+        row = {true: counts[verdict, true] for true in LOSS_CLASSES}
         print(f"{verdict:<10} {row}")
 
 
