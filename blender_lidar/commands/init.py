@@ -272,7 +272,7 @@ def _summary(recording: Recording, layout: RoadLayout, kind: str, written: list[
     (x, y), road = layout.pole_m, layout.road
     seconds = float(np.ptp(recording.frame_time_s))
     of_file = {"ngsim": f"Local_Y {x:.0f} m", "sumo": f"x {x:.1f}, y {y:.1f} m of the net"}
-    heading = "" if kind == "ngsim" else f", heading {layout.placing.heading_deg:g} deg"
+    heading = "" if kind == "ngsim" else f", heading {layout.placing.heading_deg + 0.0:g} deg"
     low, high = _region_m(layout)
     grade = _grade_percent(recording, layout)
     place = of_file.get(kind, f"x {x:.1f}, y {y:.1f} m of the table")

@@ -285,7 +285,8 @@ class Metric:
 
     def number(self, value: float, more: int = 0, sign: str = "-") -> str:
         """A value, or a mean or sum of some, as text with `more` digits than a vehicle's has; `sign` as in a format."""
-        return f"{self.shown(value):{sign}.{max(self.decimals + more, 0)}f}"
+        decimals = max(self.decimals + more, 0)
+        return f"{round(float(self.shown(value)), decimals) + 0.0:{sign}.{decimals}f}"  # what rounds to 0 has no minus
 
     def amount(self, value: float, more: int = 0, sign: str = "-") -> str:
         """The same with the unit behind it."""

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..metrics.catalogue import DETECTABLE
 from ..metrics.metric import Metric
 from ..run.tolerance import LOW_SHARE, tolerance_text
 from ..scene.mounting import COORDINATE_NAMES
@@ -178,10 +179,10 @@ def of_vehicles(share: Lost, distinct: float) -> Lost:
 def losses_text(losses: Losses, metric: Metric) -> str:
     """What is lost, and what is not, with 90 % intervals."""
     unit_of_metric = "% of the metric" if metric.of_share else metric.unit or "of the metric"
-    scales = (losses.share, _points, "percentage points"), (losses.objective, metric.number, unit_of_metric)
+    scales = (losses.share, DETECTABLE.number, "percentage points"), (losses.objective, metric.number, unit_of_metric)
     lost, kept = [], []
     for one, number, unit in scales:
-        value, *ends = (_unsigned(number(each)) for each in (one.share, *(one.interval_90 or ())))
+        value, *ends = (number(each) for each in (one.share, *(one.interval_90 or ())))
         if float(value) > 0.0:
             lost.append(f"{value} {unit}" + f" ({' to '.join(ends)})" * bool(ends))
         else:
@@ -190,15 +191,6 @@ def losses_text(losses: Losses, metric: Metric) -> str:
             lost.append(f"{percent(*losses.of_gain[:2])} of the gain")
     found = [f"loses {', '.join(lost)}"] * bool(lost) + [f"no loss found ({', '.join(kept)})"] * bool(kept)
     return "; ".join(found)
-
-
-def _points(share: float) -> str:
-    return f"{100.0 * share:.1f}"
-
-
-def _unsigned(number: str) -> str:
-    """What rounds to 0 has no sign."""
-    return number if float(number) else number.lstrip("-")
 
 
 def judged_finding(
@@ -284,11 +276,6 @@ def samples_without_replacement(blocks: int, size: int, rng: np.random.Generator
     return weights
 
 
-def values_under(weights: np.ndarray, objective: np.ndarray, vehicles: np.ndarray) -> np.ndarray:
-    """Objective per vehicle, (m, r), with each block of time counted `weights` (r, b) times."""
-    return (objective @ weights.T) / (weights @ vehicles)
-
-
 def gain_finding(judged: Landscape, judges: Judges) -> Finding:
     """Whether the mounting is better than the baseline: the baseline, it and again the baseline, as `beside` has them.
 
@@ -311,7 +298,7 @@ def gain_finding(judged: Landscape, judges: Judges) -> Finding:
     verdict = UNDECIDED if low <= 0.0 else STABLE if real else FRAGILE
     if high < 0.0 or share.interval_90[1] < 0.0:
         verdict = FAILS
-    points = [_points(one) for one in (share.share, *share.interval_90)]
+    points = [DETECTABLE.number(one) for one in (share.share, *share.interval_90)]
     text += f"gains {points[0]} percentage points ({points[1]} to {points[2]}), {metric.difference(gain.share)}"
     text += f"{metric.per_vehicle} ({metric.number(low)} to {metric.number(high)})"
     return Finding(*change, verdict, text, numbers)
