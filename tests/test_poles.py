@@ -237,7 +237,8 @@ def ranked(places, x_m, metric="pe-vgop", recording=(0,) * 8):
     frames = [CountedFrame(car, np.ones(1, dtype=bool)) for car in cars]
     seen = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=4), 60.0, 0.4),), "exact", "body", 0.05)
     scoring = Scoring(1e-6, "mean", None, "corrected", metric)
-    plan = SimpleNamespace(holdout_block=np.arange(8), holdout_recording=np.array(recording))
+    held = {"holdout": np.arange(4, 12), "holdout_block": np.arange(8), "holdout_recording": np.array(recording)}
+    plan = SimpleNamespace(**held)
     site = SimpleNamespace(plan=plan, scoring=scoring, scenario=SimpleNamespace(search=SimpleNamespace(seed=1)))
     plans = [(mounting({"height_m": 3.0, "tilt_x_deg": 17.0, "y_m": y}),) for y in places]
     spaces = [SearchSpace((Place({}, {}, pole=Pole(f"{y:g}", 0.0, y)),)) for y in places]
@@ -251,6 +252,7 @@ def test_what_only_breaks_ties_tells_no_poles_apart():
     assert (np.diff(bits, axis=0) < 0.0).all()
     held = rows[1]["holdout"]
     assert (best, held["detectable_share"]) == (0, 1.0)
+    assert held["detectable_share_interval_90"] is None  # one vehicle in all frames
     assert held["interval_90"][1] < 0.0  # of bits alone
     assert held["differs"] is False
 

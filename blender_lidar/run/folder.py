@@ -209,7 +209,9 @@ class RunFolder:
             for row in poles
         ]
         for row in rows:
-            row["holdout_low_90"], row["holdout_high_90"] = row.pop("holdout_interval_90", None) or (None, None)
+            for of in ("", "detectable_share_"):
+                ends = row.pop(f"holdout_{of}interval_90", None) or (None, None)
+                row[f"holdout_{of}low_90"], row[f"holdout_{of}high_90"] = ends
         names = [
             key for key in dict.fromkeys(key for row in rows for key in row) if key not in ("deployment", "holdout")
         ]

@@ -250,7 +250,7 @@ def rank_places(
         )
         strata = of_blocks(site.plan.holdout_recording, site.plan.holdout_block)
         reach = many_to_one_reach_90(*blocks, site.scenario.search.seed, strata)
-        values, shares = held_out.per_vehicle(), held_out.detectable_share()
+        values, tables = held_out.per_vehicle(), vehicle_tables(plans, holdout=evaluator.held_out)
     rows = []
     for rank, number in enumerate(order.tolist()):
         (place,), (mounting,) = spaces[number].places, plans[number]
@@ -269,9 +269,12 @@ def rank_places(
         }
         if held_out is not None:
             less, off = float(values[number] - values[order[0]]), None if reach is None or not rank else reach[rank]
+            both, seed = (tables[order[0]], tables[number]), site.scenario.search.seed
+            shares = BoxShares.of_split(*both, "holdout", site.plan, seed).shares()
             row["holdout"] = {
                 "objective_per_vehicle": float(values[number]),
-                "detectable_share": float(shares[number]),
+                "detectable_share": shares["after"],
+                "detectable_share_interval_90": shares["after_interval_90"],
                 "difference_to_best": less,
                 "interval_90": None if off is None else [less - float(off), less + float(off)],
                 "differs": None if off is None else bool(abs(less) > off + ties),
