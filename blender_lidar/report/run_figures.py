@@ -280,7 +280,7 @@ def plot_other_traffic(path: str | Path, result: Mapping) -> None:
         handles = [
             Line2D([], [], **{**look, "linestyle": "-", "label": "all vehicles, 90 % interval"}),
             Line2D(
-                [], [], **lane_look, label=f"each lane of {FEW_VEHICLES} vehicles or more; the one seen least is named"
+                [], [], **lane_look, label=f"lanes of {FEW_VEHICLES} vehicles or more"
             ),
             Line2D([], [], color=INK, linestyle="--", label="as recorded"),
         ]
