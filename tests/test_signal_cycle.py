@@ -113,7 +113,9 @@ def test_blocks_are_not_shorter_than_the_cycle_and_a_note_says_so():
     plan = plan_frames(recording_of(crossing(90, length_s=1800)), everywhere)
     assert 90 <= plan.block_s <= 95
     (note,) = (note for note in plan.notes if note.startswith("blocks of"))
-    assert note.startswith(f"blocks of {plan.block_s:.0f} s: not shorter than a signal's cycle of 90 s, found in the ")
+    assert note.startswith(
+        f"blocks of {plan.block_s:.0f} s: at least a signal's cycle (90 s, found in the traffic) and "
+    )
 
 
 def test_frames_meet_all_of_a_cycle():

@@ -150,7 +150,7 @@ def text_of(after=0.67, before=0.99, **repair):
 
 def test_the_line_names_the_lane_that_is_lost_and_what_may_repair_it():
     start = "If every car and van of the nearest lane (lane 1) were a lorry, 67 of 100 boxes would be detectable "
-    start += "instead of 99 of 100 boxes, in 20 frames of those that judge; in lane 2, 52 % instead of 98 %"
+    start += "instead of 99 of 100 boxes, in 20 of the frames that judge; in lane 2, 52 % instead of 98 %"
     assert text_of() == f"{start}. A mounting at 6.00 m and 28° may bring it back (about 98 % in these frames)"
     assert "A mounting at 6.00 m, above the allowed heights, and 28° may" in text_of(within_bounds=False)
     lost = text_of(repairs=False, detectable_share=0.9, height_m=11.5, other_side=0.97)

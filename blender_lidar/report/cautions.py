@@ -96,8 +96,9 @@ def lorries_text(result: Mapping) -> str:
     if whole["detectable_share"] is None or worst["detectable_share"] is None:
         return ""
     after, before = map(_share_with_count, (worst, whole))
-    text = f"If every car and van of {worst['lanes']} were a lorry, {after} would be detectable instead of {before}, "
-    text += f"in {counted(other['frames'], 'frame')} of those that judge"
+    instead = "as recorded" if after == before else f"instead of {before}"
+    text = f"If every car and van of {worst['lanes']} were a lorry, {after} would be detectable {instead}, in "
+    text += f"{other['frames']} of the frames that judge"
     told = known_lanes(whole).keys() & known_lanes(worst).keys()
     lost = {name: known_lanes(whole)[name] - known_lanes(worst)[name] for name in sorted(told)}
     if lost and max(lost.values()) > 0.0:

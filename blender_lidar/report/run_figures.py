@@ -279,9 +279,7 @@ def plot_other_traffic(path: str | Path, result: Mapping) -> None:
         axes.grid(visible=True, axis="x")
         handles = [
             Line2D([], [], **{**look, "linestyle": "-", "label": "all vehicles, 90 % interval"}),
-            Line2D(
-                [], [], **lane_look, label=f"lanes of {FEW_VEHICLES} vehicles or more"
-            ),
+            Line2D([], [], **lane_look, label=f"lanes of {FEW_VEHICLES} vehicles or more"),
             Line2D([], [], color=INK, linestyle="--", label="as recorded"),
         ]
         legend_below(figure, handles, columns=3)

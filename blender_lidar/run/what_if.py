@@ -182,7 +182,8 @@ def other_traffic(site: Site, mounting: Mounting) -> dict[str, object]:
     dict
         ``frames`` looked at; ``recorded`` and ``mixes``: ``what`` and its ``value``, ``lanes`` and ``lorries``,
         ``boxes``, ``distinct_vehicles``, ``detectable_share``, its ``interval_90``, and both of the latter ``by_lane``;
-        and ``repair`` of lorries alone in the nearest lane where these hide more than 2 points: see `_repair`.
+        and ``repair`` of lorries alone in the nearest lane where these, of ten vehicles or more, hide more than 2
+        points: see `_repair`.
     """
     few, seed = _judging(site), site.scenario.search.seed
     whole = _coverage(with_traffic(few, lambda vehicles: vehicles), mounting)
@@ -192,9 +193,10 @@ def other_traffic(site: Site, mounting: Mounting) -> dict[str, object]:
         told = {"what": mix.what, "value": mix.value, "lanes": mix.lanes, "lorries": mix.lorries}
         rows.append(told | _coverage(changed, mounting))
         if near is None and mix.lorries == LORRY_SHARES[-1]:
-            near = changed, rows[-1]["detectable_share"]
-    enough, (lorries, share) = (whole["detectable_share"] or 0.0) - REPAIRED, near
-    repair = _repair(lorries, mounting, enough) if share is not None and share < enough else None
+            near = changed, rows[-1]
+    (lorries, seen), enough, repair = near, (whole["detectable_share"] or 0.0) - REPAIRED, None
+    if seen["interval_90"] and seen["detectable_share"] < enough:
+        repair = _repair(lorries, mounting, enough)
     return {"frames": len(few.holdout), "recorded": whole, "mixes": rows, "repair": repair}
 
 

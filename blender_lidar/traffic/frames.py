@@ -239,8 +239,8 @@ def _default_block_s(transit_s: float, cycle_s: float | None) -> tuple[float, li
     if cycle_s is None:
         return transit_s, []
     block_s = max(transit_s, float(math.ceil(cycle_s)))
-    than = f"a signal's cycle of {cycle_s:.0f} s, found in the traffic, and than a transit of {transit_s:.0f} s"
-    return block_s, [f"blocks of {block_s:.0f} s: not shorter than {than}"]
+    least = f"at least a signal's cycle ({cycle_s:.0f} s, found in the traffic) and a transit ({transit_s:.0f} s)"
+    return block_s, [f"blocks of {block_s:.0f} s: {least}"]
 
 
 def _divided(candidates: _Frames, holdout: float, block_s: float) -> tuple[_Frames, _Frames | None]:
