@@ -156,7 +156,7 @@ def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> t
     about.append(f"the best cell on the searched frames is {_where(top)}")
     if lowest := [cell for cell in cells if cell["as_good"]]:
         least = min(lowest, key=lambda cell: (cell["height_m"], cell["setback_m"]))
-        about[-1] += f"; {_where(least)} is the least height that is not shown to be worse"
+        about[-1] += "" if least is top else f"; {_where(least)} is the least height that is not shown to be worse"
     return cells, [*about, *assumptions(site, best)]
 
 
