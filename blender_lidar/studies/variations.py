@@ -28,11 +28,11 @@ from .driver import Variation
 TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH = "traffic", "mounting", "metric", "sensor", "search"
 SECTIONS = (TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH)
 
-# --- traffic: lorries, night, rush hour, a queue ----------------------------------------------------------------------
+# --- traffic: lorries, light traffic, rush hour, a queue --------------------------------------------------------------
 
 
 def traffic_variations(site: Site, draws: int) -> list[Variation]:
-    """Lorries by lane, night, rush hour and a queue, as `run.what_if.mixes` has them; what is drawn `draws` times."""
+    """Lorries by lane, light traffic, rush hour and a queue, as `run.what_if.mixes` has them; what is drawn `draws` times."""
     return [
         Variation(TRAFFIC, mix.what, mix.value, partial(mix.change, seed=number), number)
         for mix in mixes(site, site.scenario.deployment.nominal_xy)
