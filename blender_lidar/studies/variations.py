@@ -32,7 +32,7 @@ SECTIONS = (TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH)
 
 
 def traffic_variations(site: Site, draws: int) -> list[Variation]:
-    """Lorries by lane, light traffic, rush hour and a queue, as `what_if.mixes` has them; what is drawn `draws` times."""
+    """Lorries by lane, light traffic, rush hour and a queue, of `what_if.mixes`; what is drawn `draws` times."""
     return [
         Variation(TRAFFIC, mix.what, mix.value, partial(mix.change, seed=number), number)
         for mix in mixes(site, site.scenario.deployment.nominal_xy)
