@@ -28,6 +28,6 @@ def test_a_generated_crossing_shows_the_cycle_of_its_signal(tmp_path):
     road = StraightRoad(lanes=script.LANES, lane_width_m=script.LANE_M)
     recording = read_traffic(str(first), format="sumo", road=road, **west)
     plan = plan_frames(recording, lambda vehicles: abs(vehicles.centre_m[:, 0]) < 50.0)
-    assert any("a signal's cycle of 60 s" in note for note in plan.notes)
+    assert any("a signal's cycle (60 s" in note for note in plan.notes)
     (again,) = script.cached_recordings(tmp_path / "again", 1, 60, minutes=5.0)
     assert rows_of(again) == rows_of(first)
