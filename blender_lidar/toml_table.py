@@ -157,6 +157,8 @@ def _of_kind(value, kind, declared, where):
         return found
     if get_origin(kind) is tuple:
         count = None if ... in parts else len(parts)
+        if declared.is_path and isinstance(value, str):
+            value, is_list = [value], True
         if not is_list or not value or (count and len(value) != count):
             each = _KINDS.get(parts[0], "a list")
             raise _refused(where, value, f"a list of {count} numbers" if count else f"a list, each {each}")
@@ -326,11 +328,14 @@ class TomlTable:
             tables = (TomlTable(one, f"{self.where(key)} {at}", folder=self.folder) for at, one in places)
             return tuple(table.read_as(entry) for table in tables)
         found = checked(value, declared, self.where(key))
-        if declared.is_path and key not in self.origins and re.search(r"[\b\t\n\f\r]", found):
+        paths = (found if isinstance(found, tuple) else (found,)) if declared.is_path else ()
+        if key not in self.origins and any(re.search(r"[\b\t\n\f\r]", one) for one in paths):
             raise InputError(f"{self.where(key)}: is {shown(found)}, no path; {_OF_PATHS}")
         if declared.plugins:
             return located(found, Path() if key in self.origins else self.folder)
-        return self.path(key, found) if declared.is_path else found
+        if isinstance(found, tuple):
+            return tuple(self.path(key, one) for one in paths) if paths else found
+        return self.path(key, found) if paths else found
 
 
 def to_toml(tables: Mapping[str, Mapping | Sequence[Mapping]]) -> str:

@@ -15,8 +15,10 @@ from blender_lidar.cli import main
 from blender_lidar.commands.init import _path, _road_lines, _text
 from blender_lidar.errors import InputError
 from blender_lidar.road import StraightRoad
+from blender_lidar.scene.provenance import run_identity
 from blender_lidar.scene.scenario import load_scenario, shipped_scenes
 from blender_lidar.scene.site import prepare
+from blender_lidar.toml_table import to_toml
 from blender_lidar.traffic import read_traffic
 from blender_lidar.traffic.layout import propose_layout
 from tests import sumo_samples
@@ -393,8 +395,33 @@ def test_a_sumo_scene_holds_the_files_that_were_given(tmp_path, monkeypatch):
     assert run("init", tmp_path / "site", "--from", "sumo", run_xml, "--vehicle-types", types) == 0
     scenario = load_scenario(tmp_path / "site" / "scene.toml")
     assert Path(scenario.traffic.path) == run_xml
-    assert Path(scenario.traffic.vehicle_types) == types
+    assert scenario.traffic.vehicle_types == (str(types),)
     assert scenario.region.stretches[0].x_m == (-50.0, 50.0)
+
+
+def test_a_sumo_configuration_gives_recording_and_types_or_says_how_to_write_them(tmp_path, monkeypatch, capsys):
+    without_charts(monkeypatch)
+    run_xml = write_rows(tmp_path / "run.fcd.xml", rows_on(33.0, [1.75, 5.25]))
+    for name in ("cars", "lorries"):
+        (tmp_path / f"{name}.rou.xml").write_text(f'<routes><vType id="{name}" vClass="passenger"/></routes>')
+    (tmp_path / "cars.rou.xml").write_text('<routes><vType id="car" vClass="passenger"/></routes>')
+    config, named = tmp_path / "site.sumocfg", '<fcd-output value="run.fcd.xml"/>'
+    config.write_text(f'<configuration><route-files value="cars.rou.xml,lorries.rou.xml"/>{named}</configuration>')
+    assert run("init", tmp_path / "site", config) == 0
+    scenario = load_scenario(tmp_path / "site" / "scene.toml")
+    assert Path(scenario.traffic.path) == run_xml
+    types = tuple(str(tmp_path / f"{name}.rou.xml") for name in ("cars", "lorries"))
+    assert scenario.traffic.vehicle_types == types
+    again = tmp_path / "again.toml"
+    again.write_text(to_toml(scenario.with_whole_paths()))
+    assert load_scenario(again).traffic == scenario.traffic
+    digests = run_identity(scenario, "exact")
+    (tmp_path / "lorries.rou.xml").write_text('<routes><vType id="lorries" vClass="truck"/></routes>')
+    changed = run_identity(scenario, "exact")
+    assert [key for key in digests if digests[key] != changed[key]] == ["[traffic] vehicle_types 2"]
+    config.write_text(config.read_text().replace("run.fcd", "not_there.fcd"))
+    assert run("init", tmp_path / "other", config) == 2
+    assert "not_there.fcd.xml, which is not there; write it with SUMO: sumo -c " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ REPLACED = [
     ("--unit-spread", "0.03", "sensor", "unit_spread_deg", 0.03),
     ("--period", "2", "traffic", "period", "2"),
     ("--location", "i-80", "traffic", "location", "i-80"),
-    ("--vehicle-types", "cars.rou.xml", "traffic", "vehicle_types", "cars.rou.xml"),
+    ("--vehicle-types", "cars.rou.xml", "traffic", "vehicle_types", ("cars.rou.xml",)),
     ("--frames", "9", "traffic", "frames", 9),
     ("--frame-ids", "3:5", "traffic", "frame_ids", (3, 4, 5)),
     ("--caster", "bvh", "model", "caster", "bvh"),

@@ -11,7 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from blender_lidar.errors import InputError
 from blender_lidar.traffic import CLASSES, read_traffic
+from blender_lidar.traffic.sumo_types import DEFAULT_TYPES, class_in_name, read_config, read_types
 from tests import sumo_samples as samples
 from tests.traffic_samples import assert_same_boxes
 
@@ -271,16 +273,70 @@ def test_sumos_own_types_need_no_definition(tmp_path, name, class_name, length):
     assert recording.size_m[0, 0] == length
 
 
-def test_without_a_file_of_types_a_class_name_tells_the_size_and_anything_else_is_a_car(tmp_path):
-    names = ("bus", "truck@4", "my_fast_car", "DEFAULT_VEHTYPE", "lorry", "x", "y")
+def test_without_a_file_of_types_the_class_in_a_name_tells_the_size_and_anything_else_is_a_car(tmp_path):
+    names = ("bus", "truck@4", "my_fast_car", "DEFAULT_VEHTYPE", "lorry", "x", "y", "z1", "w")
     rows = [samples.row(id=str(number), x=20.0 * number, type=name) for number, name in enumerate(names)]
     recording = read_traffic(write(tmp_path, rows))
-    assert [CLASSES[index] for index in recording.class_index] == ["bus", "truck", *["car"] * 5]
-    assert recording.size_m[:, 0].tolist() == [12.0, 7.1, *[5.0] * 5]
+    kinds = ["bus", "truck", "car", "car", "truck", *["car"] * 4]
+    assert [CLASSES[index] for index in recording.class_index] == kinds
+    assert recording.size_m[:, 0].tolist() == [12.0, 7.1, 5.0, 5.0, 7.1, *[5.0] * 4]
     assert recording.report.assumed == (
-        "Sizes: without vehicle_types SUMO's defaults for the type's vehicle class, "
-        "a passenger car's for my_fast_car, lorry, x and 1 more",
+        "Sizes: without vehicle_types SUMO's defaults for the vehicle class in the type's name, "
+        "a passenger car's for x, y, z1 and 1 more",
     )
+    first = "4 vehicles of a type that names no vehicle class taken for cars: give vehicle_types"
+    assert first in recording.report.lines(losses=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        *((f"{prefix}_{name}", name) for prefix in ("veh", "bike", "x") for name in set(DEFAULT_TYPES) - {"custom1", "custom2"}),
+        *((name.upper(), name) for name in ("truck", "tram", "trailer")),
+        ("Truck-1", "truck"),
+        ("hdvTruck", "truck"),
+        ("HDVTruck2", "truck"),
+        ("cityBus", "bus"),
+        ("bus_1_long", "bus"),
+        ("moto_7", "motorcycle"),
+        ("LKW", "truck"),
+        ("type1", None),
+        ("intruck", None),
+        ("railing", None),
+        ("", None),
+    ],
+)
+def test_the_class_in_a_types_name_is_found_between_its_divisions(name, found):
+    assert class_in_name(name) == found
+
+
+def test_types_may_stand_in_several_files_and_a_configuration_names_them(tmp_path):
+    for name, vehicle_class in (("a", "bus"), ("b", "truck")):
+        text = f'<routes><vType id="{name}" vClass="{vehicle_class}"/><vType id="c"/></routes>'
+        (tmp_path / f"{name}.rou.xml").write_text(text)
+    (tmp_path / "detectors.add.xml").write_text("<additional/>")
+    rows = write(tmp_path, [samples.row(id=name, x=30.0 * place, type=name) for place, name in enumerate("abc")])
+    files = [tmp_path / "a.rou.xml", tmp_path / "b.rou.xml"]
+    recording = read_traffic(rows, vehicle_types=files)
+    assert [CLASSES[index] for index in recording.class_index] == ["bus", "truck", "car"]
+    config = tmp_path / "site.sumocfg"
+    config.write_text(
+        '<configuration><input><route-files value="a.rou.xml, b.rou.xml"/><additional-files v="detectors.add.xml"/>'
+        '</input><output><output-prefix value="one_"/><fcd-output value="fcd.xml"/></output></configuration>'
+    )
+    assert read_config(config) == (tmp_path / "one_fcd.xml", files)
+    with pytest.raises(InputError, match=r"is SUMO's configuration; give .*--vehicle-types .*a\.rou\.xml --vehicle-t"):
+        read_types(config)
+    (tmp_path / "b.rou.xml").write_text('<routes><vType id="a" vClass="truck"/></routes>')
+    with pytest.raises(InputError, match="vType 'a' is there twice"):
+        read_types(*files)
+
+
+def test_a_mesoscopic_recording_is_told_as_such(tmp_path):
+    path = write(tmp_path, [samples.row()])
+    path.write_text(path.read_text().replace("<vehicle ", '<vehicle segment="3" '))
+    with pytest.raises(InputError, match="is of a mesoscopic run, whose vehicles have no places of their own"):
+        read_traffic(path)
 
 
 def test_what_drives_on_no_road_is_left_out_and_counted(tmp_path):

@@ -25,6 +25,7 @@ from ..toml_table import settings_of, to_toml
 from ..traffic import Recording, format_of, read_traffic
 from ..traffic.lanes import LANE_WIDTHS_M
 from ..traffic.layout import SETBACK_M, RoadLayout, propose_layout
+from ..traffic.sumo_types import is_config, read_config
 from ..traffic.vehicles import counted
 from .options import given_options
 
@@ -46,7 +47,12 @@ def run(args: argparse.Namespace) -> int:
     kind, path = _source(args)
     settings = settings_of(TrafficSettings)
     given = given_options(args, {key: settings[key] for key in OPTIONS})
-    _check(folder, [path, *(Path(given[key]) for key in ("vehicle_types",) if key in given)])
+    path, types = _of_config(path) if is_config(path) else (path, ())
+    if types and "vehicle_types" not in given:
+        given["vehicle_types"] = types
+    for file in [one for one in given.get("vehicle_types", ()) if is_config(one)]:
+        given["vehicle_types"] = [*read_config(file)[1], *(one for one in given["vehicle_types"] if one != file)]
+    _check(folder, [path, *map(Path, given.get("vehicle_types", ()))])
     kind = format_of(path) if kind == TRAFFIC_FORMATS[0] else kind
     unplaced = StraightRoad(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
     recording = read_traffic(path, format=kind, road=unplaced, **given)
@@ -101,6 +107,18 @@ def _source(args: argparse.Namespace) -> tuple[str, Path]:
     raise InputError(f"init: {len(words)} files given; allowed: {wanted}")
 
 
+def _of_config(path: Path) -> tuple[Path, list[Path]]:
+    """The recording that SUMO's configuration has written, and the files with types that it names."""
+    data, types = read_config(path)
+    if data is not None and data.exists():
+        return data, types
+    missing = "names no fcd-output" if data is None else f"names {data}, which is not there"
+    raise InputError(
+        f"{path}: {missing}; write it with SUMO: sumo -c {shlex.quote(str(path))} --fcd-output run.fcd.xml; then: "
+        f"blender-lidar init FOLDER --from sumo run.fcd.xml --vehicle-types {shlex.quote(str(path))}"
+    )
+
+
 def _check(folder: Path, inputs: list[Path]) -> None:
     """Refuse a folder with a scene, or with anything but the files that the scene will name."""
     check_folder(folder, "FOLDER")
@@ -120,9 +138,10 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         for key, known in (("period", recording.report.periods), ("location", recording.report.locations)):
             if len(known) > 1:
                 given.setdefault(key, getattr(recording.report, key))
-    said = {
-        key: _path(value, folder) if key in ("path", "vehicle_types") else _text(value) for key, value in given.items()
-    }
+    said = {key: _text(value) for key, value in given.items() if key not in ("path", "vehicle_types")}
+    said["path"] = _path(given["path"], folder)
+    if files := [_path(file, folder) for file in given.get("vehicle_types", ())]:
+        said["vehicle_types"] = files[0] if len(files) == 1 else f"[{', '.join(files)}]"
     grade = _grade_percent(recording, layout)
     across = np.abs(np.subtract(road_map(layout.road).edges_t, layout.pole_y)).max()
     corner = max(math.hypot(along, across) for along in (low, high))
@@ -278,6 +297,7 @@ def _summary(recording: Recording, layout: RoadLayout, kind: str, written: list[
     place = of_file.get(kind, f"x {x:.1f}, y {y:.1f} m of the table")
     lines = [
         ("Traffic", f"{recording.source}: {kind}, {counted(len(recording.frames), 'frame')} in {seconds:.0f} s"),
+        *(("", line) for line in recording.report.lines(losses=True)),
         ("Road", f"{road_text(road)}{heading}, from {_passing(layout)}"),
         *([("Slope", f"{grade:+.1f} % along x, as the file's heights rise: grade_percent")] if grade else []),
         ("Pole", f"at {place}, {road.setback_m:g} m to the {road.drives_on} of the road"),

@@ -43,7 +43,7 @@ _FEW_COORDINATES, _SEEDS = 2, 3  # with more of them so many searches: one alone
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
 _OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
 _OF_ONE_RECORDING = ("name", "weight", "path", "vehicle_types", "period", "location", "frame_ids")
-_FILES, _TRAFFIC_FILES = (("world", "blend"), ("world", "mesh")), ("path", "vehicle_types")
+_FILES = ("world", "blend"), ("world", "mesh")
 _USUAL_MEDIAN_M = 4.0
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
 
@@ -100,7 +100,9 @@ class Scenario:
         """The files that it names, by table and key."""
         named = {(table, key): getattr(getattr(self, table), key) for table, key in _FILES}
         for table, recording in zip(self._traffic_tables, self.recordings, strict=True):
-            named |= {(table, key): getattr(recording, key) for key in _TRAFFIC_FILES}
+            named[table, "path"] = recording.path
+            for number, path in enumerate(recording.vehicle_types or (), start=1):
+                named[table, "vehicle_types" if number == 1 else f"vehicle_types {number}"] = path
         named["deployment", "poles"] = self.deployment.poles_file
         if self.sensor.is_file:
             named["sensor", "name"] = self.sensor.name
@@ -138,7 +140,9 @@ class Scenario:
         """
         tables = self.as_tables()
         for (table, key), path in self.files.items():
-            tables[table][key] = str(Path(path).resolve())
+            key, _, number = key.partition(" ")
+            whole, before = str(Path(path).resolve()), tables[table][key] if number else []
+            tables[table][key] = [*before, whole] if key == "vehicle_types" else whole
         traffic = [tables.pop(name) for name in self._traffic_tables]
         return {"traffic": traffic if len(traffic) > 1 else traffic[0], **tables}
 

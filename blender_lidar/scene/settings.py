@@ -74,8 +74,8 @@ class TrafficSettings:
         file's +x; for SUMO and tables.
     time_step_s : float or None
         For tables: time from one frame number to the next [s]; from the column time_s, else 0.1.
-    vehicle_types : str or None
-        SUMO's route or additional file, whose <vType>s give the vehicles' sizes.
+    vehicle_types : tuple of str or None
+        SUMO's route or additional file, whose <vType>s give the vehicles' sizes; several as a list.
     lanes : tuple of int or None
         Lanes whose vehicles are read, numbered as in the recording (SUMO's from 1, the rightmost); by default all.
     frames : int or None
@@ -106,7 +106,7 @@ class TrafficSettings:
     origin_m: tuple[float, float] | None = setting(None, low=-_LARGEST_ORIGIN_M, high=_LARGEST_ORIGIN_M)
     heading_deg: float | None = setting(None, **HEADING)
     time_step_s: float | None = setting(None, above=0.0)
-    vehicle_types: str | None = setting(None, is_path=True, option="--vehicle-types")
+    vehicle_types: tuple[str, ...] | None = setting(None, is_path=True, option="--vehicle-types")
     lanes: tuple[int, ...] | None = setting(None)
     frames: int | None = setting(None, low=1, option="--frames", rivals=("frame_ids",))
     frame_ids: tuple[int, ...] | None = setting(

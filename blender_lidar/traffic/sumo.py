@@ -23,13 +23,14 @@ from .source import (
     Rows,
     codes,
     first_lines,
+    listed,
     open_bytes,
     read_rows,
     short,
     vehicle_ids,
     vehicle_numbers,
 )
-from .sumo_types import read_types, start_tags, types_of
+from .sumo_types import is_config, read_types, start_tags, types_of
 from .tracks import drop_repeats
 from .vehicles import CLASSES, Placing, Recording, RepairReport, ground_of
 
@@ -41,7 +42,7 @@ _WITHIN_DEGREES = 1.0  # 111 km: no scene is as large; in metres, no traffic is 
 def read_sumo(
     path: str | Path,
     *,
-    vehicle_types: str | Path | None = None,
+    vehicle_types: str | Path | Sequence[str | Path] | None = None,
     origin_m: tuple[float, float] | None = None,
     heading_deg: float | None = None,
 ) -> Recording:
@@ -54,8 +55,8 @@ def read_sumo(
     Parameters
     ----------
     path : path
-    vehicle_types : path, optional
-        A route or additional file with the ``<vType>`` that the recording names. Without it a type that is called as
+    vehicle_types : path or several, optional
+        Route or additional files with the ``<vType>`` that the recording names. Without them a type in whose name is
         one of SUMO's vehicle classes gets that one's default size, any other a passenger car's; the report says so.
     origin_m : (float, float), optional
         The road frame's origin in the net's coordinates [m].
@@ -69,9 +70,14 @@ def read_sumo(
     MissingExtraError
         For Parquet without pyarrow.
     """
-    defined = None if vehicle_types is None else read_types(vehicle_types)
+    if is_config(path):
+        raise InputError(
+            f"{path}: is SUMO's configuration, not its output; init takes it, or give the file of its fcd-output"
+        )
+    files = [vehicle_types] if isinstance(vehicle_types, str | Path) else list(vehicle_types or ())
+    defined = read_types(*files) if files else None
     rows, names, report = _collected(path)
-    types, assumed = types_of(names["type"], defined, f"{path}: vehicle_types {vehicle_types}")
+    types, assumed, unknown = types_of(names["type"], defined, f"{path}: vehicle_types {listed(list(map(str, files)))}")
     frame, step_s, notes = frames_of(rows["time"])
     content = np.column_stack([rows[name] for name in ("x", "y", "angle", "type", "lane")])
     kept, duplicates, repeated = drop_repeats(rows["id"], frame, content)
@@ -87,6 +93,7 @@ def read_sumo(
     vehicle_id, numbered = vehicle_numbers(names["id"])
     notes += numbered
     rows, frame = {name: column[kept[on_road]] for name, column in rows.items()}, frame[kept[on_road]]
+    cars = np.unique(rows["id"][unknown[rows["type"]]])
     size = np.array([kind.size_m for kind in types])[rows["type"]]
     class_index = np.array([CLASSES.index(kind.class_name or "car") for kind in types])[rows["type"]]
     heading = np.radians(90.0 - rows["angle"])
@@ -112,6 +119,7 @@ def read_sumo(
             duplicates=duplicates,
             repeated=repeated,
             left_out=report.left_out + strangers.total(),
+            types_unknown=len(cars),
             notes=tuple(notes),
             assumed=(*assumed, *_not_used(ground)),
             ground=ground,
@@ -237,6 +245,11 @@ def _xml_rows(path: str | Path) -> Iterator[Rows]:
             elif name in _KINDS:
                 if time is None:
                     raise InputError(f"{path}:{line}: <{name}> outside a <timestep>; SUMO writes it inside one")
+                if "segment" in attributes:
+                    raise InputError(
+                        f"{path}:{line}: is of a mesoscopic run, whose vehicles have no places of their own; run SUMO "
+                        "without --mesosim"
+                    )
                 rows.append((name, time, *map(attributes.get, names)))
                 lines.append(line)
         if rows:

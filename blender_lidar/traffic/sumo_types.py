@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
@@ -93,11 +95,38 @@ _DRAWN_AS = {
     **dict.fromkeys(("bus", "bus/coach", "bus/flexible", "bus/trolley"), "bus"),
     **dict.fromkeys(("motorcycle", "moped", "bicycle", "scooter"), "motorcycle"),
 }
+# Words in the names that people and tools give to types, beside the classes themselves.
+_WORDS = {
+    **dict.fromkeys(("car", "cars", "pkw", "veh", "sedan", "suv"), "passenger"),
+    **dict.fromkeys(("van", "lcv"), "delivery"),
+    **dict.fromkeys(("lorry", "hgv", "hdv", "lkw", "trucks"), "truck"),
+    **dict.fromkeys(("semitrailer", "semi"), "trailer"),
+    **dict.fromkeys(("moto", "motorbike"), "motorcycle"),
+    **dict.fromkeys(("bike", "cyclist", "cycle"), "bicycle"),
+    **dict.fromkeys(("ped", "person", "persons"), "pedestrian"),
+    **dict.fromkeys(("minibus", "buses"), "bus"),
+    "train": "rail",
+    "ambulance": "emergency",
+}
+_PART = re.compile("[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 _SIZE = Column("more than 0, at most 1000 m", low=1e-9, high=1000.0)
 
 
-def read_types(path: str | Path) -> dict[str, VehicleType]:
-    """The types that a route or additional file defines, plain or gzip, also inside ``<vTypeDistribution>``.
+def class_in_name(name: str) -> str | None:
+    """SUMO's vehicle class in a type's name, as in osmWebWizard's ``truck_truck`` or ``hdvTruck1``; None without one.
+
+    Parts of a name are divided by what is no letter, or by case; of several that are classes the last one counts, and a
+    class before a word for one.
+    """
+    parts = [part.lower() for part in _PART.findall(name)]
+    pairs = map("_".join, pairwise(parts))  # rail_urban, cable_car
+    classes = [part for part in (*parts, *pairs) if part in DEFAULT_TYPES]
+    words = [_WORDS[part] for part in parts if part in _WORDS]
+    return (classes or words or [None])[-1]
+
+
+def read_types(*paths: str | Path) -> dict[str, VehicleType]:
+    """The types that route or additional files define, plain or gzip, also inside ``<vTypeDistribution>``.
 
     What a type does not say has its class's default. A car that is given a length above `VAN_LONGER_THAN_M`, and more
     length or height than its class has by default, is a van; its height, where not given, is that of NGSIM's vans.
@@ -105,20 +134,48 @@ def read_types(path: str | Path) -> dict[str, VehicleType]:
     Raises
     ------
     MissingFileError, InputError
-        If the file cannot be read as XML, defines no type or one twice, or gives one an unknown class or a size that is
-        none.
+        If a file cannot be read as XML, all define no type or one in two ways, or give one an unknown class or a size
+        that is none.
     """
     types: dict[str, VehicleType] = {}
-    for line, element, attributes in start_tags(path):
-        if element == "vType":
-            name = attributes.get("id", "")
-            if not name or name in types:
-                text = f"{short(name)!r} is there twice" if name else "without an id"
-                raise InputError(f"{path}:{line}: vType {text}")
-            types[name] = _read_type(attributes, line, f"{path}:")
+    for path in paths:
+        if is_config(path):
+            files = " ".join(f"--vehicle-types {one}" for one in read_config(path)[1])
+            raise InputError(f"{path}: is SUMO's configuration; give the files with <vType> that it names: {files}")
+        here: dict[str, VehicleType] = {}
+        for line, element, attributes in start_tags(path):
+            if element == "vType":
+                name = attributes.get("id", "")
+                found = _read_type(attributes, line, f"{path}:")
+                if not name or name in here or types.get(name, found) != found:
+                    text = f"{short(name)!r} is there twice" if name else "without an id"
+                    raise InputError(f"{path}:{line}: vType {text}")
+                here[name] = found
+        types |= here
     if not types:
-        raise InputError(f"{path}: no <vType>; a route or additional file that defines the vehicles is needed")
+        raise InputError(
+            f"{', '.join(map(str, paths))}: no <vType>; a route or additional file that defines the vehicles is needed"
+        )
     return types
+
+
+def is_config(path: str | Path) -> bool:
+    """Whether a file is called as SUMO's configurations are."""
+    return str(path).lower().endswith((".sumocfg", ".sumo.cfg"))
+
+
+def read_config(path: str | Path) -> tuple[Path | None, list[Path]]:
+    """Of SUMO's configuration: its floating car data, None where it names none, and its files that define types."""
+    folder, values = Path(path).parent, {}
+    for _, element, attributes in start_tags(path):
+        values[element] = attributes.get("value", attributes.get("v", ""))
+    named = ",".join(values.get(key, "") for key in ("route-files", "r", "additional-files", "a"))
+    files = [folder / name for name in re.split(r"[,\s]+", named) if name and (folder / name).exists()]
+    types = [file for file in files if any(element == "vType" for _, element, _ in start_tags(file))]
+    if not (name := values.get("fcd-output", "")):
+        return None, types
+    prefix = "" if Path(name).is_absolute() else values.get("output-prefix", "")
+    return folder / Path(name).with_name(prefix + Path(name).name), types
 
 
 def _read_type(attributes: Mapping[str, str], line: int, place: str) -> VehicleType:
@@ -141,19 +198,23 @@ def _read_type(attributes: Mapping[str, str], line: int, place: str) -> VehicleT
 
 def types_of(
     names: Sequence[str], defined: Mapping[str, VehicleType] | None, where: str
-) -> tuple[list[VehicleType], list[str]]:
-    """The type behind each name: of those `defined`, or else assumed; and a note on what is assumed.
+) -> tuple[list[VehicleType], list[str], np.ndarray]:
+    """The type behind each name: of those `defined`, or else assumed; a note on that, and which names tell no class.
 
     ``lorry@7``, the name of a type that vehicle 7 got for itself by TraCI, stands for ``lorry``. An error says `where`
     the types are defined.
     """
     known = {**_BUILT_IN, **(DEFAULT_TYPES if defined is None else defined)}
     found = [known.get(name) or known.get(name.split("@", 1)[0]) for name in names]
+    if defined is None:
+        in_name = [class_in_name(name.split("@", 1)[0]) for name in names]
+        found = [kind or DEFAULT_TYPES.get(one) for kind, one in zip(found, in_name, strict=True)]
+    is_unknown = np.array([kind is None for kind in found], dtype=bool)
     unknown = [name for name, kind in zip(names, found, strict=True) if kind is None]
     if defined is None:
         cars = f", a passenger car's for {listed([name or 'no type' for name in unknown])}" if unknown else ""
-        note = f"Sizes: without vehicle_types SUMO's defaults for the type's vehicle class{cars}"
-        return [kind or DEFAULT_TYPES["passenger"] for kind in found], [note]
+        note = f"Sizes: without vehicle_types SUMO's defaults for the vehicle class in the type's name{cars}"
+        return [kind or DEFAULT_TYPES["passenger"] for kind in found], [note], is_unknown
     if "" in unknown:
         raise InputError(
             f"{where}: vehicles have no type, so it cannot give their sizes; SUMO writes types unless "
@@ -161,4 +222,4 @@ def types_of(
         )
     if unknown:
         raise unknown_name(unknown[0], defined, "type", where)
-    return found, []
+    return found, [], is_unknown

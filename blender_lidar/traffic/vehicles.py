@@ -38,6 +38,8 @@ class RepairReport:
         Rows dropped because they lie kilometres from the section, or have no place at all.
     left_out : int
         Rows of what is no vehicle on a road: persons, containers, trains.
+    types_unknown : int
+        Vehicles whose type names no vehicle class, and that were taken for cars.
     sizes_repaired : int
         Vehicles whose size was missing or absurd.
     headings_held, headings_clamped : int
@@ -65,6 +67,7 @@ class RepairReport:
     repeated: int = 0
     off_map: int = 0
     left_out: int = 0
+    types_unknown: int = 0
     sizes_repaired: int = 0
     headings_held: int = 0
     headings_clamped: int = 0
@@ -85,6 +88,7 @@ class RepairReport:
             (self.repeated, "row", "dropped: vehicle already in that frame"),
             (self.off_map, "row", "dropped: off the map"),
             (self.left_out, "row", "left out: no vehicle on a road"),
+            (self.types_unknown, "vehicle", "of a type that names no vehicle class taken for cars: give vehicle_types"),
             (self.sizes_repaired, "vehicle", "with a missing or absurd size repaired"),
         ]
         if not losses:
