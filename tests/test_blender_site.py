@@ -21,7 +21,7 @@ from tests.refusals import refused
 from tests.small_scene import cli, done, without_charts, write_scene
 
 WALL = box("wall", (0.0, 1.0, 2.5), (60.0, 0.2, 5.0))
-TURNED = box("wall", (500_000.0 - 1.0, 70.0, 2.5), (0.2, 60.0, 5.0))  # the wall, in a map's frame: x to the north
+TURNED = box("wall", (50_000.0 - 1.0, 70.0, 2.5), (0.2, 60.0, 5.0))  # the wall, in a map's frame: x to the north
 
 FOREST = [(float(x), float(y)) for x in range(-60, 61, 5) for y in (-8.0, 1.0, 11.0, 40.0)]  # beside the carriageway
 
@@ -61,13 +61,13 @@ def test_a_wall_from_a_blend_hides_what_a_wall_of_the_scene_hides(tmp_path, caps
 
 def test_a_site_is_moved_and_turned_into_the_road_frame(tmp_path, capsys):
     blend(tmp_path / "map.blend", TURNED)
-    world = {"blend": str(tmp_path / "map.blend"), "origin_m": [500_000.0, 70.0, 0.0], "heading_deg": 90.0}
+    world = {"blend": str(tmp_path / "map.blend"), "origin_m": [50_000.0, 70.0, 0.0], "heading_deg": 90.0}
     scene = write_scene(tmp_path, {"world": {**world, "ground": False}})
     assert cli(capsys, "scan", scene, "--frame", 20, "--height", 3, "--out", tmp_path / "c.npz")[0] == 0
     with np.load(tmp_path / "c.npz") as cloud:
         wall = cloud["xyz"][cloud["vehicle_id"] < 0]
         assert len(wall) > 100
-        np.testing.assert_allclose(wall[:, 1], 0.9, atol=0.02)  # float32 in the file: half a million metres
+        np.testing.assert_allclose(wall[:, 1], 0.9, atol=0.005)  # float32 in the file: 50 km
 
 
 def test_a_site_that_lies_elsewhere_is_refused_with_where_it_lies(tmp_path, capsys):
@@ -75,8 +75,53 @@ def test_a_site_that_lies_elsewhere_is_refused_with_where_it_lies(tmp_path, caps
     scene = write_scene(tmp_path, {"world": {"blend": str(tmp_path / "map.blend")}})
     line = refused(capsys, tmp_path, "evaluate", scene, "--out", tmp_path / "run")
     assert "nothing of it lies within 20 m of the mount at x 0, y 0 m" in line
-    assert "spans x 499999 to 499999" in line
+    assert "spans x 49998.9 to 49999.1" in line
     assert not (tmp_path / "run").exists()
+
+
+def write_obj(path, corners, axes=(0, 1, 2), signs=(1.0, 1.0, 1.0), by=1.0):
+    """Triangles (n, 3, 3) as an .obj whose axes are these of ours."""
+    points = by * (corners.reshape(-1, 3)[:, axes] * signs)
+    rows = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in points.tolist()]
+    rows += [f"f {3 * row + 1} {3 * row + 2} {3 * row + 3}" for row in range(len(points) // 3)]
+    path.write_text("\n".join(rows) + "\n")
+    return str(path)
+
+
+def test_an_obj_with_y_up_is_read_and_one_with_z_up_where_the_scene_says_so(tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    wall = box("wall", (0.0, 1.2, 1.3), (60.0, 0.4, 2.6))
+    boxes = [{"centre_m": [0.0, 1.2, 1.3], "size_m": [60.0, 0.4, 2.6]}]
+    written = evaluated(capsys, tmp_path / "written", {"boxes": boxes})
+    y_up = write_obj(tmp_path / "y_up.obj", wall.corners, (0, 2, 1), (1.0, 1.0, -1.0))
+    z_up = write_obj(tmp_path / "z_up.obj", wall.corners)
+    for name, world in (("y", {"mesh": y_up}), ("said", {"mesh": y_up, "up": "y"}), ("z", {"mesh": z_up, "up": "z"})):
+        read = evaluated(capsys, tmp_path / name, world)
+        assert read["objective_per_vehicle"] == pytest.approx(written["objective_per_vehicle"], abs=1e-6)
+        assert read["scenery"]["z_m"] == pytest.approx([0.0, 2.6], abs=1e-6)
+    scene = write_scene(tmp_path, {"world": {"mesh": z_up}})
+    line = refused(capsys, tmp_path, "evaluate", scene, "--out", tmp_path / "run")
+    assert 'z_up.obj: does not say which axis is up; with [world] up = "y" it has z 1.0 to 1.4 m' in line
+    assert 'with "z" z 0.0 to 2.6 m' in line
+
+
+def test_scenery_in_large_coordinates_under_the_road_or_in_millimetres_is_refused(tmp_path, capsys):
+    wall = box("wall", (0.0, 1.2, 1.3), (60.0, 0.4, 2.6)).corners
+    deep = box("wall", (0.0, 1.2, -3.0), (60.0, 0.4, 2.6)).corners
+    for name, corners, by, origin, said in (
+        (
+            "map",
+            wall + np.array([553_000.0, 5_260_000.0, 0.0]),
+            1.0,
+            [553_000.0, 5_260_000.0, 0.0],
+            "have steps of 0.5 m",
+        ),
+        ("deep", deep, 1.0, [0.0, 0.0, 0.0], "most of it lies under the road, z -4.3 to -1.7 m"),
+        ("mm", wall, 1000.0, [0.0, 0.0, 0.0], "perhaps in millimetres: metres are needed"),
+    ):
+        mesh = write_obj(tmp_path / f"{name}.obj", corners, by=by)
+        scene = write_scene(tmp_path / name, {"world": {"mesh": mesh, "up": "z", "origin_m": origin}})
+        assert said in refused(capsys, tmp_path, "evaluate", scene, "--out", tmp_path / "run")
 
 
 def test_of_a_forest_only_the_trees_within_reach_are_made_real(tmp_path, capsys, monkeypatch):

@@ -356,7 +356,7 @@ def centres(path: Path) -> dict[int, np.ndarray]:
 
 def test_a_proposed_scene_counts_the_vehicles_of_its_stretch(ran, tmp_path, capsys):
     traffic = ran.settings.recordings[0]
-    types = () if traffic.vehicle_types is None else ("--vehicle-types", traffic.vehicle_types)
+    types = () if traffic.vehicle_types is None else ("--vehicle-types", *traffic.vehicle_types)
     code, _, err = cli(capsys, "init", tmp_path / "own", "--from", "auto", traffic.path, *types)
     assert code == 0, err
     proposed = load_scenario(tmp_path / "own" / "scene.toml")

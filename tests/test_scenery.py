@@ -242,8 +242,8 @@ def test_behind_a_wall_nothing_is_detectable_and_two_workers_agree_with_one(tmp_
     [
         ([], None, ""),
         # the ends of both are too far away
-        ([WALL], {"objects": 1, "triangles": 8}, "1 object, 8 triangles within reach"),
-        ([WALL, HEDGE, FAR], {"objects": 2, "triangles": 16}, "2 objects, 16 triangles within reach"),
+        ([WALL], {"objects": 1, "triangles": 8}, "1 object, 8 triangles within reach, z 0.0 to 5.0 m"),
+        ([WALL, HEDGE, FAR], {"objects": 2, "triangles": 16}, "2 objects, 16 triangles within reach, z 0.0 to 5.0 m"),
         ([FAR], {"objects": 0, "triangles": 0}, "0 objects, 0 triangles within reach"),
     ],
 )
@@ -254,6 +254,8 @@ def test_a_run_tells_how_much_stands_within_its_reach(tmp_path, capsys, monkeypa
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     page = Page((tmp_path / "run" / "report.html").read_text(encoding="utf-8"))
     sheet = (tmp_path / "run" / "installation.txt").read_text(encoding="utf-8")
+    if (counts or {}).get("objects"):
+        counts = counts | {"z_m": pytest.approx([0.0, 5.0]), "below_road": 0.0}
     assert result["scenery"] == counts
     assert re.findall("^Scenery .*", out, re.MULTILINE) == ([f"Scenery    {words}"] if words else [])
     assert (f"Simulated with scenery: {words}" in page.text(page.find("header")[0])) == bool(words)

@@ -18,6 +18,7 @@ from ..sensors.model import model_names
 from ..statistics import FEW_BLOCKS, FEW_VEHICLES
 from ..traffic.vehicles import counted
 
+_TOLD_BELOW = 0.005
 LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
 
 # --- What a run is about: its mountings, what judges them, and what the scores hold under -----------------------------
@@ -187,11 +188,15 @@ def imperfections_text(imperfections: Mapping[str, float | None]) -> str:
     return ", ".join(text.format(**imperfections) for text, there in values.items() if there)
 
 
-def scenery_text(counts: Mapping[str, int] | None) -> str:
+def scenery_text(counts: Mapping | None) -> str:
     """How much scenery stood there, in a few words; empty where the scene has none."""
     if counts is None:
         return ""
-    return f"{', '.join(counted(counts[what + 's'], what) for what in ('object', 'triangle'))} within reach"
+    text = f"{', '.join(counted(counts[what + 's'], what) for what in ('object', 'triangle'))} within reach"
+    if counts.get("z_m"):
+        text += ", z {:.1f} to {:.1f} m".format(*(round(end, 1) + 0.0 for end in counts["z_m"]))
+        text += f", {100 * counts['below_road']:.0f} % below the road" if counts["below_road"] >= _TOLD_BELOW else ""
+    return text
 
 
 def objective_text(result: Mapping) -> str:

@@ -242,15 +242,23 @@ def rung_costs(search: MultiFidelitySearch) -> list[dict[str, object]]:
     ]
 
 
-def scenery_counts(site: Site) -> dict[str, int] | None:
-    """Objects and triangles of the scenery within reach; None where the scene has none but the road's own surface."""
+_BELOW_M = 0.05  # of the road: what stands there may reach so far into it
+
+
+def scenery_counts(site: Site) -> dict[str, object] | None:
+    """How much scenery stands within reach, and how high; None where there is none but the road's own surface.
+
+    ``objects``, ``triangles``, ``z_m`` from where to where [m], and the share of corners ``below_road``.
+    """
     standing = site.observation.scenery
     if standing is None:
         return None
     beside = standing.scenery.beside_road
     if not len(beside) and not site.scenario.road_map.surface.is_flat:
         return None
-    return {"objects": len(np.unique(beside.owner)), "triangles": len(beside)}
+    z = beside.corners[..., 2]
+    heights = {"z_m": [float(z.min()), float(z.max())], "below_road": float((z < -_BELOW_M).mean())} if len(z) else {}
+    return {"objects": len(np.unique(beside.owner)), "triangles": len(beside), **heights}
 
 
 class _SearchedObjective:

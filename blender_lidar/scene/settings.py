@@ -379,8 +379,11 @@ class WorldSettings:
         Whether scans have returns from the road; false where a file of your own contains the ground.
     blend, mesh : str or None
         A site of your own: a .blend, or a mesh file that Blender reads.
+    up : str or None
+        Axis of an .obj, .ply or .stl file that points up, as these do not say it: by default y in .obj and z in others,
+        as Blender writes them.
     origin_m, heading_deg
-        Origin of the road frame in the frame of these files [m], and direction of its x axis there.
+        Origin of the road frame in the frame of these files [m], z up, and direction of its x axis there.
     boxes, barriers : tuple
         Fixed objects that hide vehicles; the how-to has the keys of an entry.
     clutter : float
@@ -400,6 +403,7 @@ class WorldSettings:
     mesh: str | None = setting(
         None, is_path=True, fits=lambda path: not _is_blend(path), form="a mesh file; .blend files go to blend"
     )
+    up: str | None = setting(None, allowed=("y", "z"))
     origin_m: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-_LARGEST_ORIGIN_M, high=_LARGEST_ORIGIN_M)
     heading_deg: float = setting(0.0, **HEADING)
     boxes: tuple[BoxSettings, ...] = setting(())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from .plausibility import checked_recording
 from .provenance import run_identity, unchanged_inputs
 from .region import Region, region_of
 from .scenario import Scenario
-from .settings import ObjectiveSettings, SensorSettings, WorldSettings
+from .settings import ObjectiveSettings, SensorSettings
 
 # --- The scenery that a scene's [world] describes: files that Blender reads, boxes and barriers, in the road frame -
 
@@ -50,7 +51,7 @@ def read_scenery(scenario: Scenario, reach_m: float, given: Sequence[Mounting] =
     world = scenario.world
     centre = scenario.deployment.nominal_xy
     paths = [path for path in (world.blend, world.mesh) if path is not None]
-    files = [_near(path, world, centre, reach_m) for path in paths]
+    files = [_near(scenario, path, centre, reach_m) for path in paths]
     boxes = [box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg)) for item in world.boxes]
     road = scenario.road_map
     barriers = [along_road(road, barrier(item.kind, item.y_m, road.stations(item.x_m))) for item in world.barriers]
@@ -67,27 +68,72 @@ def _may_hang(scenario: Scenario, given: Sequence[Mounting]) -> list[tuple[np.nd
     return [(low[:2], high[:2]) for low, high in extents]
 
 
-def _near(path: str, world: WorldSettings, centre: tuple[float, float], reach_m: float) -> Scenery:
+_UP = {".obj": "y", ".ply": "z", ".stl": "z"}  # as Blender takes files that do not say it
+_ON_ROAD_M, _UNDER_ROAD_M = (
+    0.5,
+    -1.0,
+)  # above its plane: where what stands begins at the latest; where little of it lies
+_STEPS_A_CELL = 5.0
+_MILLIMETRES_FROM_M = 5000.0
+
+
+def _near(scenario: Scenario, path: str, centre: tuple[float, float], reach_m: float) -> Scenery:
     """What of a file lies within reach; a file of which nothing does is most likely put in the wrong place."""
-    read_site = blender_room("site", path).read_site
+    world, read_site, usual = scenario.world, blender_room("site", path).read_site, _UP.get(Path(path).suffix.lower())
     heading = math.radians(world.heading_deg)
     cos, sin = math.cos(heading), math.sin(heading)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])  # for rows
 
-    def to_road(points: np.ndarray) -> np.ndarray:
+    def to_road(points: np.ndarray, *, tipped: bool = False) -> np.ndarray:
+        if tipped:  # from y up to z up is a quarter turn about x, and back
+            points = points[..., [0, 2, 1]] * ([1.0, 1.0, -1.0] if usual == "y" else [1.0, -1.0, 1.0])
         return (points - np.array(world.origin_m)) @ turn
 
-    near = read_site(path, lambda box: bool(boxes_reach(to_road(box), centre, reach_m)))
-    near = replace(near, corners=to_road(near.corners)).within(centre, reach_m)
-    if len(near) == 0:
-        corners = to_road(read_site(path).corners)
+    if world.up and path == world.mesh and not usual:
+        raise InputError(f"[world] up: {path}: says itself which axis is up; allowed for {', '.join(_UP)}")
+    whole = read_site(path, None if usual else lambda box: bool(boxes_reach(to_road(box), centre, reach_m)))
+    step_m = float(np.spacing(np.abs(whole.corners).max(initial=0.0).astype(np.float32)))
+    if step_m > scenario.objective.cell_m / _STEPS_A_CELL:
+        raise InputError(
+            f"{path}: coordinates as large as {np.abs(whole.corners).max():.0f} m have steps of {step_m:.2g} m in the "
+            "32 bits that meshes have; subtract an origin from the file's coordinates and from [world] origin_m"
+        )
+    one, other = (
+        replace(whole, corners=to_road(whole.corners, tipped=tipped)).within(centre, reach_m)
+        for tipped in ([False, True] if world.up in (None, usual) else [True, False])
+    )
+    if usual and not world.up and _stands(other) and not (usual == "z" and _stands(one)):
+        raise InputError(
+            f'{path}: does not say which axis is up; with [world] up = "{usual}" it has {_heights_text(one)}, with '
+            f'"{"z" if usual == "y" else "y"}" {_heights_text(other)}: say which'
+        )
+    if len(one) == 0:
+        corners = to_road((whole if usual else read_site(path)).corners)
         low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        large = "; perhaps in millimetres: metres are needed" if (high - low).max() > _MILLIMETRES_FROM_M else ""
         raise InputError(
             f"{path}: nothing of it lies within {reach_m:g} m of the mount at x {centre[0]:g}, y {centre[1]:g} m; "
             f"in the road frame it spans x {low[0]:g} to {high[0]:g}, y {low[1]:g} to {high[1]:g} m: check [world] "
-            "origin_m and heading_deg"
+            f"origin_m and heading_deg{large}"
         )
-    return near
+    if np.median(one.corners[..., 2]) < _UNDER_ROAD_M:
+        raise InputError(
+            f"{path}: most of it lies under the road, {_heights_text(one)}; check [world] origin_m, and up for "
+            f"{', '.join(_UP)}"
+        )
+    return one
+
+
+def _stands(found: Scenery) -> bool:
+    """Whether scenery stands on the road rather than above or under it."""
+    z = found.corners[..., 2]
+    return len(found) > 0 and z.min() <= _ON_ROAD_M and np.median(z) >= -_ON_ROAD_M
+
+
+def _heights_text(found: Scenery) -> str:
+    """From where to where scenery is high, in words."""
+    z = found.corners[..., 2].round(1) + 0.0
+    return f"z {z.min():.1f} to {z.max():.1f} m in the road frame" if len(found) else "nothing within reach"
 
 
 # --- The site ---------------------------------------------------------------------------------------------------------
