@@ -11,7 +11,7 @@ KINDS = ("car", "truck or bus", "motorcycle")  # of vehicles, which detectors te
 TRAFFIC_FORMATS = ("auto", "ngsim", "sumo", "table")
 # Of what cannot be true of traffic.
 WARNINGS = ("grade", "sizes", "time-step", "tracks", "headings", "bend", "carriageway", "overlaps")
-SENSOR_SUFFIXES = (".toml", ".csv")
+SENSOR_SUFFIXES = (".toml", ".csv", ".txt", ".tsv", ".dat", ".json", ".yaml", ".yml")
 CLOUD_SUFFIXES = (".npz", ".pcd", ".ply", ".bin", ".las", ".laz")
 DATASET_LAYOUTS = ("npz", "kitti", "nuscenes")
 VIEWS = ("mean", "max", "min")  # how three occupancies become the P of Eq. 11

@@ -57,6 +57,7 @@ LIBRARIES = {
     "embreex": ("casting/embree.py",),
     "numba": ("compiled.py",),
     "laspy": ("clouds/files.py",),
+    "yaml": ("sensors/tables.py",),
     "zstandard": ("world/blender/site.py",),
     "pyarrow": ("traffic/sumo.py",),
     "matplotlib": ("report/",),

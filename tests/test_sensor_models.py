@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 import subprocess
 import sys
@@ -389,11 +390,114 @@ def test_a_csv_needs_only_rings_and_elevations_in_any_order(tmp_path, header, ne
     assert model.columns() == 1800
 
 
+def fan(factor, middle=0.0):
+    """A table of 16 rings from -15 to 15 degrees, in another unit or from another zero."""
+    rows = (f"{ring},{round(middle + factor * (2.0 * ring - 15.0), 6)}" for ring in range(16))
+    return "\n".join(["ring,elevation_deg", *rows])
+
+
+LAYOUTS = {  # of one fan, whose azimuth offsets are 0.5 and -0.5 degrees in turn
+    "a header of its own": ("Laser id,Elevation,Azimuth", "{number},{elevation},{offset}"),
+    "semicolons and decimal commas": ("ring;elevation_deg;azimuth_offset_deg", "{ring};{elevation};{offset}"),
+    "tabs": ("channel\tvertical [deg]\thorizontal [deg]", "{number}\t{elevation}\t{offset}"),
+    "no header": ("", "{elevation},{offset}"),
+    "no header, with rings": ("", "{ring},{elevation},{offset}"),
+    "blanks": ("", "{elevation} {offset}"),
+    "a comment and an index": ("# mine\n,ring,elevation_deg,azimuth_offset_deg", "{ring},{ring},{elevation},{offset}"),
+    "EEFF": ("EEFF,1,1\nLaser id,Elevation,Azimuth", "{number},{elevation},{offset}"),
+    "radians said": ("ring,elevation_rad,azimuth_offset_deg", "{ring},{radians},{offset}"),
+    "zenith angles said": ("ring,zenith_deg,azimuth_offset_deg", "{ring},{zenith},{offset}"),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+@pytest.mark.parametrize("downwards", [False, True])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_fan_is_read_in_whatever_layout_and_order(tmp_path, layout, downwards, encoding):
+    header, row = LAYOUTS[layout]
+    rows, count = [], 16
+    for ring in range(count):
+        elevation = 2.0 * (count - 1 - ring if downwards else ring) - 15.0
+        words = {
+            "ring": ring,
+            "number": ring + 1,
+            "elevation": elevation,
+            "offset": 0.5 if elevation % 4.0 == 1.0 else -0.5,
+        }
+        text = row.format(**words, radians=math.radians(elevation), zenith=90.0 - elevation)
+        rows.append(text.replace(".", ",") if ";" in row else text)
+    path = tmp_path / "own.csv"
+    path.write_bytes("\n".join([*([header] if header else []), *rows]).encode(encoding))
+    model = load_model(path)
+    np.testing.assert_allclose(np.degrees(model.elevation_rad), np.arange(-15.0, 16.0, 2.0), atol=1e-9)
+    np.testing.assert_allclose(np.degrees(model.azimuth_offset_rad), [0.5, -0.5] * 8)
+    renumbered = ("{ring}" in row and downwards) or "{number}" in row
+    assert ("rings are numbered again, from the lowest beam up" in model.notes) == renumbered
+
+
+def test_an_ousters_metadata_is_read_in_both_layouts(tmp_path):
+    angles = {"beam_altitude_angles": [10.0, 5.0, 0.0, -5.0], "beam_azimuth_angles": [3.1, 1.0, -1.1, -3.2]}
+    old = {**angles, "lidar_mode": "512x20", "prod_line": "OS-1-4"}
+    new = {"beam_intrinsics": angles, "config_params": {"lidar_mode": "512x20"}, "sensor_info": {"prod_line": "OS-1-4"}}
+    for number, table in enumerate((old, new)):
+        model = load_model(written(tmp_path, json.dumps(table), f"{number}.json"))
+        assert (model.name, model.columns(), model.rotation_hz) == ("OS-1-4", 512, (20.0,))
+        np.testing.assert_allclose(np.degrees(model.elevation_rad), [-5.0, 0.0, 5.0, 10.0])
+        np.testing.assert_allclose(np.degrees(model.azimuth_offset_rad), [-3.2, -1.1, 1.0, 3.1])
+    for text in ("[]", "{}", '{"beam_altitude_angles": [1], "beam_azimuth_angles": []}', "x"):
+        with pytest.raises(InputError, match="is no metadata of an Ouster"):
+            load_model(written(tmp_path, text, "bad.json"))
+
+
+def test_a_velodynes_calibration_is_in_radians_and_its_azimuths_are_turned(tmp_path):
+    pytest.importorskip("yaml")
+    lasers = [(-0.2617993877991494, 0.0349), (0.2617993877991494, -0.0349), (0.0, 0.0)]
+    rows = (
+        f"- {{laser_id: {at}, vert_correction: {up}, rot_correction: {turn}}}" for at, (up, turn) in enumerate(lasers)
+    )
+    model = load_model(written(tmp_path, "\n".join(["lasers:", *rows, "num_lasers: 3"]), "mine.yaml"))
+    np.testing.assert_allclose(np.degrees(model.elevation_rad), [-15.0, 0.0, 15.0])
+    np.testing.assert_allclose(model.azimuth_offset_rad, [-0.0349, 0.0, 0.0349])
+    with pytest.raises(InputError, match="is no calibration of a Velodyne"):
+        load_model(written(tmp_path, "lasers: [{a: 1}]", "bad.yaml"))
+
+
+def test_what_may_be_meant_otherwise_is_noted(tmp_path):
+    up = "\n".join(["elevation_deg", *(str(one) for one in range(-4, 12))])
+    assert load_model(written(tmp_path, up, "own.csv")).notes == ("11 of 16 beams look up: are the signs turned?",)
+    rows = (f"{ring},{ring - 3},{0.0244 * (-1) ** ring}" for ring in range(8))
+    text = "\n".join(["ring,elevation_deg,azimuth_offset_deg", *rows])
+    (note,) = load_model(written(tmp_path, text, "own.csv")).notes
+    assert note == "azimuth offsets of at most 0.0244 degrees: in radians they would be 1.4"
+
+
 # What is wrong, the file, and the beginning of the line that says so; OWN is the file.
 BAD_CSV = {
-    "no elevation": ("ring\n0\n", "OWN:2 elevation_deg: is missing"),
-    "no header": ("0,-1\n1,0\n", "OWN:1: unknown column '0'"),
-    "misspelt column": ("ring,elevation\n0,1\n", "OWN:1: unknown column 'elevation'; did you mean 'elevation_deg'"),
+    "no elevation": ("ring\n0\n", "OWN:2: has no elevations"),
+    "fire times alone": ("Laser id,fire time(us)\n1,0\n2,1.5\n", "OWN:2: has no elevations"),
+    "wide without a header": ("1.5,2,3\n1,0,0\n", "OWN:1: 3 columns without a header"),
+    "misspelt column": (
+        "ring,elevatoin_deg\n0,1\n",
+        "OWN:1: unknown column 'elevatoin_deg'; did you mean 'elevation_deg'",
+    ),
+    "a scan pattern": ("Time/s,Azimuth/deg,Zenith/deg\n0,1,90\n", "OWN:1: is a scan pattern over time"),
+    "radians": (
+        fan(math.radians(1.0)),
+        "OWN: elevations from -0.261799 to 0.261799 are no degrees of a sensor; in radians",
+    ),
+    "milliradians": (
+        fan(math.radians(1000.0)),
+        "OWN: elevations from -261.799 to 261.799 are no degrees of a sensor; in m",
+    ),
+    "millidegrees": (
+        fan(1000.0),
+        "OWN: elevations from -15000 to 15000 are no degrees of a sensor; in millidegrees they ",
+    ),
+    "hundredths": (
+        fan(100.0),
+        "OWN: elevations from -1500 to 1500 are no degrees of a sensor; in hundredths of a degree",
+    ),
+    "zenith angles": (fan(1.0, 90.0), "OWN: elevations from 75 to 105 degrees are counted from the zenith"),
     "column twice": ("ring,elevation_deg,ring\n0,1,0\n", "OWN:1: column 'ring' is given twice"),
     "text in a number": ("ring,elevation_deg\n0,-1\n1,low\n", "OWN:3 elevation_deg: is 'low'; allowed: a number"),
     "empty cell": ("ring,elevation_deg\n0,\n", "OWN:2 elevation_deg: is ''; allowed: a number"),
@@ -409,16 +513,10 @@ BAD_CSV = {
     ),
     "ring twice": (
         "ring,elevation_deg\n0,1\n0,2\n",
-        "OWN:3: ring is 0; 2 rings are numbered 0 (lowest) to 1, each once",
+        "OWN:3: ring is 0; 2 rings are numbered 0 to 1, each once",
     ),
-    "ring missing": ("ring,elevation_deg\n0,1\n2,2\n", "OWN:3: ring is 2; 2 rings are numbered 0 (lowest) to 1"),
-    "from the top": ("ring,elevation_deg\n0,1\n1,-1\n", "OWN:3: ring 1 at -1 degrees lies below ring 0 at 1"),
-    "semicolons": ("ring;elevation_deg\n0;1\n", "OWN:1: unknown column 'ring;elevation_deg'"),
+    "ring missing": ("ring,elevation_deg\n0,1\n2,2\n", "OWN:3: ring is 2; 2 rings are numbered 0 to 1"),
     "empty": ("", "OWN:beams: 0 rings; allowed: 1 to 4096"),
-    "not UTF-8": (
-        b"ring,elevation_deg\n\xff\xfe\n",
-        "OWN: is not CSV: 'utf-8' codec can't decode byte 0xff",
-    ),
 }
 BAD_TOML = {
     "no beams": ('name = "x"', "OWN:beams: 0 rings; allowed: 1 to 4096"),
@@ -482,5 +580,5 @@ def test_a_folder_is_no_sensor_file(tmp_path):
 
 
 def test_another_kind_of_file_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"sensor\.yaml: a sensor file ends in \.toml or \.csv"):
-        load_model(written(tmp_path, "x", "sensor.yaml"))
+    with pytest.raises(InputError, match=r"sensor\.xml: a sensor file ends in \.toml, \.csv"):
+        load_model(written(tmp_path, "x", "sensor.xml"))

@@ -23,7 +23,7 @@ _BEAM = ("ring", "elevation_deg", "azimuth_offset_deg", "fire_offset_us")
 _LISTING_NOTES = """
 Elevation in degrees; columns and points at the default rotation rate, one return per beam. An
 Ouster's columns are a choice: --columns 512, 1024 (the default) or 2048.
-blender-lidar sensors NAME shows one in full; NAME may also be the path of your own .toml or .csv."""
+blender-lidar sensors NAME shows one in full; NAME may also be a sensor file of your own, or a maker's."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -84,6 +84,7 @@ def _facts(model: LidarModel) -> dict[str, Any]:
         "block_time_us": round(model.block_time_us, 6),
         "range_noise_m": model.range_noise_m,
         "range_at_10_percent_m": model.range_at_10_percent_m,
+        "notes": list(model.notes),
         "assumed": model.assumptions,
         "beams": [dict(zip(_BEAM, beam, strict=True)) for beam in beams],
     }
@@ -132,6 +133,7 @@ def _portrait(model: LidarModel) -> str:
         "10 % target": "" if dark_m is None else f"seen to {dark_m:g} m",
         "confidence": model.confidence,
         "source": model.source,
+        "as read": "; ".join(model.notes),
         "assumed": "; ".join(f"{text} ({key})" for key, text in model.assumptions.items()),
     }
     lines = textwrap.wrap(f"{model.name}: {model.description}" if model.description else model.name, _WIDTH)

@@ -42,6 +42,7 @@ def assumptions(site: Site, table: Mapping[str, np.ndarray]) -> list[str]:
     deployment, sensor, grade = site.scenario.deployment, site.model.assumptions, site.scenario.road.grade_percent
     found = [*_heights(site.recording), *site.recording.report.assumed]
     found += [f"The sensor's file leaves open, and is taken to mean: {'; '.join(sensor.values())}"] if sensor else []
+    found += [f"Of the sensor's file: {'; '.join(site.model.notes)}"] if site.model.notes else []
     if grade:
         way = "rises" if grade > 0.0 else "falls"
         found.append(

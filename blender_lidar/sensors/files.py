@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, shown, unknown_name
-from ..files import number, read_file, reading
+from ..errors import InputError, shown
 from ..names import SENSOR_SUFFIXES, STATED_RANGE_LIMITS_M
 from ..toml_table import Setting, TomlTable, read_toml, setting, settings_of
+from .tables import Row, check_degrees, notes_on, read_beam_table
 
 MAX_RINGS = 4096
 _MOST_BEAMS_PER_TURN = 10_000_000  # twenty times a 128-ring sensor at 5 Hz; directions alone would take 240 MB
@@ -28,9 +27,6 @@ _LAYOUT = f"[{', '.join(_BEAM)}]"
 
 ASSUMED = ("rotation_hz", "block_time_us", "range_min_m", "range_max_m", "range_noise_m", *list(_BEAM)[2:])
 """Keys of which something is assumed where a file leaves them out."""
-
-Row = tuple[str, dict[str, object]]
-"""Where a beam stands (``file:line`` or ``file:beams[i]``), and its values by the keys of `_BEAM`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +57,8 @@ class Datasheet:
         Farthest range at which it sees a target of 10 % reflectivity [m]; None where no source gives it.
     assumed : tuple of str
         Keys that its file leaves out and of which something is assumed; those of its beams too.
+    notes : tuple of str
+        What reading its file has changed, or found unusual.
     """
 
     name: str = setting("")
@@ -78,10 +76,11 @@ class Datasheet:
     range_noise_m: float = setting(0.02, low=0.0, high=1e3)
     range_at_10_percent_m: float | None = setting(None, low=STATED_RANGE_LIMITS_M[0], high=STATED_RANGE_LIMITS_M[1])
     assumed: tuple[str, ...] = field(default=(), kw_only=True)
+    notes: tuple[str, ...] = field(default=(), kw_only=True)
 
 
 def read_sensor_file(path: Path) -> tuple[dict[str, Any], np.ndarray]:
-    """Read and check a sensor's TOML, or a CSV of its beams (every setting then takes its default).
+    """Read and check a sensor's TOML, or a table of its beams (what that does not say then takes its default).
 
     Returns
     -------
@@ -100,13 +99,17 @@ def read_sensor_file(path: Path) -> tuple[dict[str, Any], np.ndarray]:
     """
     suffix = path.suffix.lower()
     if suffix not in SENSOR_SUFFIXES:
-        raise InputError(f"{path}: a sensor file ends in {' or '.join(SENSOR_SUFFIXES)}")
-    settings = _checked_settings({"beams": _csv_rows(path)} if suffix == ".csv" else read_toml(path), path)
-    rows = settings.pop("beams")
-    rows = rows if suffix == ".csv" else _toml_rows(rows, path)
+        raise InputError(f"{path}: a sensor file ends in {', '.join(SENSOR_SUFFIXES)}")
+    if suffix == ".toml":
+        settings = _checked_settings(read_toml(path), path)
+        rows = _toml_rows(settings.pop("beams"), path)
+    else:
+        given, rows = read_beam_table(path)
+        settings = _checked_settings(given, path)
+        del settings["beams"]
     given = {key for _, row in rows for key in row}
     settings["assumed"] += tuple(key for key in ("azimuth_offset_deg", "fire_offset_us") if key not in given)
-    beams = _checked_beams(rows, path)
+    beams, settings["notes"] = _checked_beams(rows, path)
     for rate in settings["rotation_hz"]:
         columns = max(settings["columns_a_turn"], default=round(1e6 / (rate * settings["block_time_us"])))
         if not 1 <= columns <= _MOST_BEAMS_PER_TURN // len(beams):
@@ -154,33 +157,6 @@ def rates_with(columns: int, rates: tuple[float, ...], block_time_us: float) -> 
     return tuple(rate for rate in rates if rate * columns * block_time_us <= 1e6 * (1.0 + 1e-9))
 
 
-def _csv_rows(path: Path) -> list[Row]:
-    with reading(path, "a table of beams"):
-        content = read_file(path)
-    try:
-        reader = csv.reader(content.decode("utf-8-sig").splitlines())
-        rows = [(f"{path}:{reader.line_num}", [cell.strip() for cell in cells]) for cells in reader]
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is not CSV: {error}") from None
-    rows = [row for row in rows if any(row[1])]
-    where, columns = rows[0] if rows else (str(path), [])
-    for name in columns:
-        if name not in _BEAM:
-            raise unknown_name(name, _BEAM, "column", where)
-        if columns.count(name) > 1:
-            raise InputError(f"{where}: column {name!r} is given twice")
-    for where, cells in rows[1:]:
-        if len(cells) != len(columns):
-            raise InputError(f"{where}: {len(cells)} values, where the header has {len(columns)}")
-    return [(where, dict(zip(columns, map(_parsed, cells), strict=True))) for where, cells in rows[1:]]
-
-
-def _parsed(cell: str) -> float | str:
-    """A cell as a number; what is none stays a text, for the check of its column to show."""
-    value = number(cell)
-    return cell if math.isnan(value) else value
-
-
 def _toml_rows(beams: list, path: Path) -> list[Row]:
     for row in beams:
         if not isinstance(row, list) or len(row) > len(_BEAM):
@@ -188,27 +164,30 @@ def _toml_rows(beams: list, path: Path) -> list[Row]:
     return [(f"{path}:beams[{at}]", dict(zip(_BEAM, row, strict=False))) for at, row in enumerate(beams)]
 
 
-def _checked_beams(rows: list[Row], path: Path) -> np.ndarray:
-    """The beams (r, 4) in ring order, which must be that of their elevations."""
+def _checked_beams(rows: list[Row], path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The beams (r, 4), numbered from the lowest one up, and what is noted of them."""
     count = len(rows)
     if not 1 <= count <= MAX_RINGS:
         raise InputError(f"{path}:beams: {count} rings; allowed: 1 to {MAX_RINGS}")
     for _, row in rows:
         if str(row.get("fire_offset_us")).lower() == "nan":
             del row["fire_offset_us"]
+    elevation = [row.get("elevation_deg") for _, row in rows]
+    if all(isinstance(one, float | int) for one in elevation):
+        check_degrees(path, np.array(elevation, dtype=float))
+    numbered = any("ring" in row for _, row in rows)
+    if not numbered:
+        rows = [(where, {"ring": place, **row}) for place, (where, row) in enumerate(rows)]
     found = [(where, [*TomlTable(row, where).read(_BEAM).values()]) for where, row in rows]
     found.sort(key=lambda beam: beam[1][0])
-    for place, (where, (ring, *_)) in enumerate(found):
+    first = 1 if found[0][1][0] == 1 else 0
+    for place, (where, (ring, *_)) in enumerate(found, start=first):
         if ring != place:
-            raise InputError(
-                f"{where}: ring is {ring:g}; {count} rings are numbered 0 (lowest) to {count - 1}, each once"
-            )
+            raise InputError(f"{where}: ring is {ring:g}; {count} rings are numbered 0 to {count - 1}, each once")
     beams = np.array([beam for _, beam in found])
-    falls = np.flatnonzero(np.diff(beams[:, 1]) < 0.0)
-    if len(falls):
-        below, (ring, elevation, *_) = beams[falls[0]], beams[falls[0] + 1]
-        raise InputError(
-            f"{found[falls[0] + 1][0]}: ring {ring:g} at {elevation:g} degrees lies below ring {below[0]:g} at "
-            f"{below[1]:g}; rings are numbered from the lowest beam up"
-        )
-    return beams
+    order = np.argsort(beams[:, 1], kind="stable")
+    sorted_ = numbered and (first or (np.diff(order) < 0).any())
+    notes = ["rings are numbered again, from the lowest beam up"] if sorted_ else []
+    beams = beams[order]
+    beams[:, 0] = np.arange(count)
+    return beams, (*notes, *notes_on(beams[:, 1], beams[:, 2]))

@@ -122,7 +122,7 @@ def load_model(name_or_path: str | Path) -> LidarModel:
             names = [name for model in _shipped() for name in (model.name, *model.aliases)]
             alike = [name for name in names if _family(name) == _family(name_or_path)]
             unknown = unknown_name(name_or_path, names, "sensor", alike=alike)
-            raise InputError(f"{unknown}, or the path of a .toml or .csv file")
+            raise InputError(f"{unknown}, or the path of a sensor file: {', '.join(SENSOR_SUFFIXES)}")
     return _model(Path(name_or_path))
 
 
