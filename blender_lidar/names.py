@@ -8,7 +8,7 @@ CASTERS = ("raster", "embree", "bvh", "exact")  # in the order in which "auto" t
 DETAILS = ("box", "body", "detailed")  # of vehicles, the coarsest first
 BARRIERS = ("concrete", "guard_rail")
 KINDS = ("car", "truck or bus", "motorcycle")  # of vehicles, which detectors tell apart; a van is a car
-TRAFFIC_FORMATS = ("auto", "ngsim", "sumo", "table")
+TRAFFIC_FORMATS = ("auto", "ngsim", "sumo", "table", "highd", "ind", "k733", "tgsim")
 # Of what cannot be true of traffic.
 WARNINGS = ("grade", "sizes", "time-step", "tracks", "headings", "bend", "carriageway", "overlaps")
 SENSOR_SUFFIXES = (".toml", ".csv", ".txt", ".tsv", ".dat", ".json", ".yaml", ".yml")

@@ -294,7 +294,7 @@ def test_without_a_file_of_types_the_class_in_a_name_tells_the_size_and_anything
         *(
             (f"{prefix}_{name}", name)
             for prefix in ("veh", "bike", "x")
-            for name in set(DEFAULT_TYPES) - {"custom1", "custom2"}
+            for name in sorted(set(DEFAULT_TYPES) - {"custom1", "custom2"})
         ),
         *((name.upper(), name) for name in ("truck", "tram", "trailer")),
         ("Truck-1", "truck"),

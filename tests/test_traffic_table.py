@@ -7,9 +7,11 @@ import gzip
 import numpy as np
 import pytest
 
-from blender_lidar.errors import InputError
-from blender_lidar.traffic import read_table, read_traffic
+from blender_lidar.errors import InputError, MissingFileError
+from blender_lidar.traffic import format_of, read_table, read_traffic
 from blender_lidar.traffic import source as csv_rows
+from blender_lidar.traffic.presets import PRESETS, meta_files
+from blender_lidar.traffic.table import BOX_NEEDED
 from blender_lidar.traffic.vehicles import RepairReport
 from tests.traffic_samples import refused
 
@@ -56,6 +58,155 @@ def test_origin_and_heading_place_the_tables_own_frame_in_the_road_frame(tmp_pat
     np.testing.assert_allclose(np.degrees(vehicles.heading_rad), [2.0])
 
 
+def driven(left_out=(), rename=None, **changes):
+    """A whole table of two cars and a lorry on a bend, some columns left out, renamed or changed."""
+    rows = []
+    for frame in range(40):
+        for number, kind, size in (
+            (1, "car", (4.5, 1.8, 1.5)),
+            (2, "truck", (12.7, 2.6, 3.8)),
+            (3, "car", (4.5, 1.8, 1.5)),
+        ):
+            turn = 0.001 * frame + 0.3 * number
+            place = (800.0 * np.sin(turn), 800.0 * (1.0 - np.cos(turn)))
+            values = (frame, number, kind, *place, *size, np.degrees(turn), 0.1 * frame)
+            rows.append(dict(zip((*BOX_NEEDED, "time_s"), values, strict=True)) | changes)
+    names = [name for name in rows[0] if name not in left_out]
+    return {(rename or {}).get(name, name): np.array([row[name] for row in rows]) for name in names}
+
+
+def test_what_can_be_inferred_may_be_left_out():
+    whole, less = read_table(driven()), read_table(driven(("frame", "height_m", "heading_deg", "class")))
+    np.testing.assert_array_equal(less.frames, whole.frames)
+    np.testing.assert_array_equal(less.class_index, whole.class_index)
+    np.testing.assert_allclose(less.size_m, whole.size_m)
+    np.testing.assert_allclose(less.heading_rad, whole.heading_rad, atol=0.03)
+    assert less.report.assumed == (
+        "Class: truck from 7 m of length on, else car, as the table has none",
+        "Heights: by class, as the table has none",
+        "Headings: those of motion, as the table has none",
+    )
+    sizes = read_table(driven(("length_m", "width_m", "height_m")), height_m={"car": 1.6})
+    assert sizes.size_m[sizes.class_index == 0][0].tolist() == [4.5, 1.8, 1.6]
+    some = driven()
+    some["heading_deg"] = np.where(np.arange(120) % 7 == 0, np.nan, some["heading_deg"])
+    np.testing.assert_allclose(read_table(some).heading_rad, whole.heading_rad, atol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("left_out", "rename", "message"),
+    [
+        (("frame", "time_s"), {}, "no column frame; needed: frame, vehicle_id, x_m, y_m"),
+        (("class", "length_m"), {}, "no column class; needed"),
+        ((), {"heading_deg": "psi_rad"}, "no column heading_deg; .*nearest: psi_rad to heading_deg"),
+        ((), {"length_m": "lenght_m"}, "no column length_m; .*nearest: lenght_m to length_m"),
+        ((), {"class": "agent_type"}, "no column class; .*nearest: agent_type to class"),
+    ],
+)
+def test_what_cannot_be_inferred_or_has_nearly_the_right_name_is_asked_for(left_out, rename, message):
+    with pytest.raises(InputError, match=message):
+        read_table(driven(left_out, rename))
+
+
+def test_words_for_classes_are_known_and_persons_are_left_out_and_counted():
+    table = driven()
+    words = {"car": ["Car", "small-vehicle", "PKW"], "truck": ["truck_bus", "Large-Vehicle", "Lorry"]}
+    kinds = [words[kind][row // 3 % 3] for row, kind in enumerate(table["class"].tolist())]
+    table["class"] = np.array([*kinds[:-3], "pedestrian", "Person", "pedestrian/bicycle"])
+    table["length_m"][-3:] = 0.0  # as points have
+    recording = read_table(table)
+    assert recording.report.left_out == 3
+    np.testing.assert_array_equal(recording.class_index == 2, recording.vehicle_id == 2)
+
+
+def as_preset(preset, folder):
+    """The same drive as a data set has it, and the boxes that are meant."""
+    table = driven()
+    x, y, length, width = (table[name] for name in ("x_m", "y_m", "length_m", "width_m"))
+    ids, frame, time_s = table["vehicle_id"], table["frame"], table["frame"] / 25.0
+    columns = {
+        "highd": {
+            "frame": frame,
+            "id": ids,
+            "x": x - length / 2,
+            "y": -y - width / 2,
+            "width": length,
+            "height": width,
+        },
+        "ind": {"trackId": ids, "frame": frame, "xCenter": x, "yCenter": y, "heading": table["heading_deg"] % 360.0},
+        "k733": {"track_id": ids, "frame_id": frame, "timestamp_ms": 1000 * time_s, "agent_type": table["class"]},
+        "tgsim": {"id": ids, "time": time_s, "xloc-kf": x, "yloc-kf": -y, "lane-kf": 0 * ids, "run-index": 0 * ids + 1},
+    }[preset]
+    columns |= {
+        "highd": {"laneId": 0 * ids},
+        "ind": {"length": length, "width": width},
+        "k733": {"x": x, "y": y, "vx": 0 * x, "vy": 0 * y, "psi_rad": 0 * x, "length": length, "width": width},
+        "tgsim": {"length-smoothed": length, "width-smoothed": width, "type-most-common": table["class"]},
+    }[preset]
+    path = folder / "07_tracks.csv"
+    rows = [",".join(map(str, row)) for row in zip(*(column.tolist() for column in columns.values()), strict=True)]
+    path.write_text("\n".join([",".join(columns), *rows]), encoding="utf-8")
+    key = "id" if preset == "highd" else "trackId"
+    way = [",drivingDirection", ",2"] if preset == "highd" else ["", ""]
+    meta = [f"{key},class{way[0]}", f"1,Car{way[1]}", f"2,truck_bus{way[1]}", f"3,car{way[1]}"]
+    (folder / "07_tracksMeta.csv").write_text("\n".join(meta), encoding="utf-8")
+    (folder / "07_recordingMeta.csv").write_text("frameRate\n25.0\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_data_set_is_the_table_that_is_meant(tmp_path, preset):
+    path, whole = as_preset(preset, tmp_path), read_table(driven())
+    assert format_of(path) == preset
+    recording = read_traffic(path, format=preset)
+    np.testing.assert_array_equal(recording.vehicle_id, whole.vehicle_id)
+    np.testing.assert_array_equal(recording.class_index, whole.class_index)
+    np.testing.assert_allclose(recording.centre_m[:, :2], whole.centre_m[:, :2], atol=1e-9)
+    np.testing.assert_allclose(recording.size_m, whole.size_m)
+    assert recording.time_step_s == pytest.approx(0.04)
+    if preset != "highd":  # which has the direction of travel alone
+        np.testing.assert_allclose(recording.heading_rad, whole.heading_rad, atol=0.03)
+    assert [one.name for one in meta_files(path, preset)] == (
+        ["07_tracksMeta.csv", "07_recordingMeta.csv"] if PRESETS[preset].has_meta else []
+    )
+
+
+def test_a_data_set_without_its_meta_file_is_refused_and_named_where_it_is_not_said(tmp_path):
+    path = as_preset("highd", tmp_path)
+    with pytest.raises(InputError, match=r'has the columns of highd; say so: \[traffic\] format = "highd"'):
+        read_traffic(path)
+    (tmp_path / "07_tracksMeta.csv").unlink()
+    with pytest.raises(MissingFileError, match=r"its tracksMeta\.csv, which has the classes, is not beside it"):
+        read_traffic(path, format="highd")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"_id": 1, "timestamp": [1.0]}', "is JSON; write a CSV"),
+        ("[\n {", "is JSON; write a CSV"),
+        (
+            "track_id; type; traveled_d; avg_speed; lat; lon; speed; time\n1; Car; 0; 1; 37.9; 23.7; 1; 0",
+            "longitude and",
+        ),
+    ],
+)
+def test_what_is_no_table_of_metres_is_told_as_what_it_is(tmp_path, text, message):
+    (tmp_path / "x.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_traffic(tmp_path / "x.csv")
+
+
+def test_a_table_of_boxes_is_read_from_parquet_by_its_columns(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    parquet.write_table(pyarrow.table(driven()), tmp_path / "boxes.parquet")
+    recording, whole = read_traffic(tmp_path / "boxes.parquet"), read_table(driven())
+    np.testing.assert_array_equal(recording.centre_m, whole.centre_m)
+    np.testing.assert_array_equal(recording.vehicle_id, whole.vehicle_id)
+
+
 @pytest.mark.parametrize("turn_deg", [-170.0, -30.0, 0.0, 45.0, 400.0])
 def test_moving_the_table_and_its_placing_together_changes_nothing(tmp_path, turn_deg):
     expected = read_table(write(tmp_path))
@@ -98,7 +249,7 @@ def test_repeated_rows_are_dropped_and_counted(tmp_path):
     [
         ("frame", "1.5", "frame is 1.5; allowed: a whole number"),
         ("vehicle_id", "", "vehicle_id is missing"),
-        ("class", "lorry", "unknown class 'lorry'; allowed: car, van, truck, bus, motorcycle"),
+        ("class", "ufo", "unknown class 'ufo'; allowed: car, van, truck, bus, motorcycle"),
         ("x_m", "abc", "x_m is 'abc'; allowed: a number, -1e9 to 1e9"),
         ("z_m", "inf", "z_m is 'inf'; allowed: a number, -1e9 to 1e9"),
         ("length_m", "-4.5", "length_m is -4.5; allowed: more than 0, 0.001 to 1000"),

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     write_text(folder / SCENE, text)
     written = [str(folder / SCENE)]
     try:
-        plot_site_plan(recording, layout, folder / PICTURE, _AXES[kind])
+        plot_site_plan(recording, layout, folder / PICTURE, _AXES.get(kind, ("x", "y")))
         written.append(str(folder / PICTURE))
     except MissingExtraError as error:
         print(f"blender-lidar: note: no picture: {error}", file=sys.stderr)
@@ -298,6 +298,7 @@ def _summary(recording: Recording, layout: RoadLayout, kind: str, written: list[
     lines = [
         ("Traffic", f"{recording.source}: {kind}, {counted(len(recording.frames), 'frame')} in {seconds:.0f} s"),
         *(("", line) for line in recording.report.lines(losses=True)),
+        *(("Assumed", text) for text in recording.report.assumed),
         ("Road", f"{road_text(road)}{heading}, from {_passing(layout)}"),
         *([("Slope", f"{grade:+.1f} % along x, as the file's heights rise: grade_percent")] if grade else []),
         ("Pole", f"at {place}, {road.setback_m:g} m to the {road.drives_on} of the road"),

@@ -20,6 +20,7 @@ from ..road.straight import StraightRoad, road_map
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
+from ..traffic.presets import meta_files
 from .deployment import Deployment
 from .mounting import MOUNTED, Mounting, mounting_from
 from .places import baseline_from, deployment_from
@@ -101,6 +102,8 @@ class Scenario:
         named = {(table, key): getattr(getattr(self, table), key) for table, key in _FILES}
         for table, recording in zip(self._traffic_tables, self.recordings, strict=True):
             named[table, "path"] = recording.path
+            if found := meta_files(recording.path, recording.format):
+                named |= {(table, f"meta {one.name}"): str(one) for one in found}
             for number, path in enumerate(recording.vehicle_types or (), start=1):
                 named[table, "vehicle_types" if number == 1 else f"vehicle_types {number}"] = path
         named["deployment", "poles"] = self.deployment.poles_file
@@ -141,6 +144,8 @@ class Scenario:
         tables = self.as_tables()
         for (table, key), path in self.files.items():
             key, _, number = key.partition(" ")
+            if key == "meta":  # found beside the recording
+                continue
             whole, before = str(Path(path).resolve()), tables[table][key] if number else []
             tables[table][key] = [*before, whole] if key == "vehicle_types" else whole
         traffic = [tables.pop(name) for name in self._traffic_tables]

@@ -6,7 +6,9 @@ SUMO's Parquet files need pyarrow, imported when one is read; the rest needs num
 from __future__ import annotations
 
 import inspect
+import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ..errors import InputError, unknown_name
@@ -15,8 +17,9 @@ from ..road import StraightRoad
 from .frames import FramePlan, instants, joined_plans, joined_recordings, plan_frames, well_populated_frames
 from .ngsim import NGSIM_COLUMNS, read_ngsim
 from .ngsim import likeness as ngsim_likeness
+from .presets import PRESETS, meta_files, preset_of, read_preset
 from .source import first_lines, quoted
-from .sumo import FCD_NEEDED, kind_of_fcd, read_sumo
+from .sumo import FCD_NEEDED, kind_of_fcd, parquet_batches, read_sumo
 from .table import BOX_NEEDED, read_table
 from .table import likeness as table_likeness
 from .vehicles import CLASSES, Recording, RepairReport, Vehicles, overlapping_pairs, with_overlaps_reported
@@ -38,7 +41,8 @@ __all__ = [
     "well_populated_frames",
 ]
 
-_READERS = dict(zip(TRAFFIC_FORMATS[1:], (read_ngsim, read_sumo, read_table), strict=True))
+_READERS = {"ngsim": read_ngsim, "sumo": read_sumo, "table": read_table}
+_READERS |= {name: partial(read_preset, preset=name) for name in PRESETS}
 
 
 def read_traffic(
@@ -50,7 +54,8 @@ def read_traffic(
     ----------
     path : path
         Plain or gzip.
-    format : {"auto", "ngsim", "sumo", "table"}
+    format : str
+        One of `TRAFFIC_FORMATS`;
         ``"auto"`` looks at the file's beginning.
     road : StraightRoad, optional
         For NGSIM; I-80's if left out.
@@ -69,6 +74,8 @@ def read_traffic(
         raise unknown_name(format, TRAFFIC_FORMATS, "traffic format")
     if format == "auto":
         format = format_of(path)
+        if meta_files(path, format):
+            raise InputError(f'{path}: has the columns of {format}; say so: [traffic] format = "{format}"')
     read = _READERS[format]
     given = {name: value for name, value in settings.items() if value is not None and value != {}}
     for name, value in given.items():
@@ -85,7 +92,7 @@ _MOST_OF_SUMO = 6  # of a table's columns, those that SUMO's own files have or h
 
 
 def format_of(path: str | Path) -> str:
-    """The format of a recording, ``"ngsim"``, ``"sumo"`` or ``"table"``, by the file's beginning.
+    """The format of a recording, one of `TRAFFIC_FORMATS`, by the file's beginning.
 
     Raises
     ------
@@ -93,9 +100,25 @@ def format_of(path: str | Path) -> str:
         If it cannot be read, or is of none of them.
     """
     kind = kind_of_fcd(path)
-    if kind in ("xml", "parquet"):
+    if kind == "xml":
         return "sumo"
+    if kind == "parquet":
+        names: list[str] = []
+        next(parquet_batches(path, lambda found: names.extend(found) or dict.fromkeys(found[:1], found[0])), None)
+        header = ",".join(names)
+        if ngsim_likeness(header) > max(table_likeness(header), _MOST_OF_SUMO):
+            raise InputError(f"{path}: is NGSIM's table as Parquet; write it as CSV")
+        return "table" if table_likeness(header) > _MOST_OF_SUMO else "sumo"
     line, header = first_lines(path)[0]
+    if header.lstrip()[:1] in ("{", "["):
+        raise InputError(f"{path}: is JSON; write a CSV, a row for each vehicle and frame: {', '.join(BOX_NEEDED)}")
+    if {"lat", "lon"} <= set(re.split(r"[\W_]+", header.lower())):
+        raise InputError(
+            f"{path}:{line}: has longitude and latitude; metres are needed, in a row for each vehicle and frame: "
+            f"{', '.join(BOX_NEEDED)}"
+        )
+    if preset := preset_of(path):
+        return preset
     if kind == "csv" and table_likeness(header) <= _MOST_OF_SUMO:
         return "sumo"
     ngsim, table = ngsim_likeness(header), table_likeness(header)

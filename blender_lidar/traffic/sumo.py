@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -23,7 +23,6 @@ from .source import (
     Rows,
     codes,
     first_lines,
-    listed,
     open_bytes,
     read_rows,
     short,
@@ -77,7 +76,7 @@ def read_sumo(
     files = [vehicle_types] if isinstance(vehicle_types, str | Path) else list(vehicle_types or ())
     defined = read_types(*files) if files else None
     rows, names, report = _collected(path)
-    types, assumed, unknown = types_of(names["type"], defined, f"{path}: vehicle_types {listed(list(map(str, files)))}")
+    types, assumed, unknown = types_of(names["type"], defined, f"{path}: vehicle_types {', '.join(map(str, files))}")
     frame, step_s, notes = frames_of(rows["time"])
     content = np.column_stack([rows[name] for name in ("x", "y", "angle", "type", "lane")])
     kept, duplicates, repeated = drop_repeats(rows["id"], frame, content)
@@ -279,6 +278,30 @@ def _csv_rows(path: str | Path) -> Iterator[Rows]:
 
 def _parquet_rows(path: str | Path) -> Iterator[Rows]:
     """The rows of a file that ``sumo --fcd-output run.fcd.parquet`` wrote, by pyarrow."""
+
+    def chosen(names: list[str]) -> dict[str, str]:
+        layout = TableLayout(_attributes(names), None, 1)
+        return {name: names[layout.columns.index(name)] for name in layout.check(FCD_NEEDED, _OPTIONAL, str(path))}
+
+    first = 1
+    for columns in parquet_batches(path, chosen):
+        count = len(next(iter(columns.values())))
+        yield _with_tags(Rows(columns, range(first, first + count), f"{path}: row "))
+        first += count
+
+
+def parquet_batches(
+    path: str | Path, chosen: Callable[[list[str]], Mapping[str, str]]
+) -> Iterator[dict[str, np.ndarray]]:
+    """The columns of a Parquet file, batch by batch, by the names that `chosen` gives to those of its own.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    MissingExtraError
+        Without pyarrow.
+    """
     try:
         import pyarrow
         import pyarrow.parquet
@@ -289,14 +312,9 @@ def _parquet_rows(path: str | Path) -> Iterator[Rows]:
         ) from error
     try:
         with pyarrow.parquet.ParquetFile(path) as file:
-            names = file.schema_arrow.names
-            layout = TableLayout(_attributes(names), None, 1)
-            used = {name: names[layout.columns.index(name)] for name in layout.check(FCD_NEEDED, _OPTIONAL, str(path))}
-            first = 1
+            used = chosen(file.schema_arrow.names)
             for batch in file.iter_batches(batch_size=_PARQUET_ROWS, columns=[*used.values()]):
-                columns = {name: batch.column(held).to_numpy(zero_copy_only=False) for name, held in used.items()}
-                yield _with_tags(Rows(columns, range(first, first + batch.num_rows), f"{path}: row "))
-                first += batch.num_rows
+                yield {name: batch.column(held).to_numpy(zero_copy_only=False) for name, held in used.items()}
     except InputError:  # a ValueError too
         raise
     except (pyarrow.ArrowException, OSError, ValueError, LookupError) as error:  # some of them of places beyond the end

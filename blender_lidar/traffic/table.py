@@ -2,18 +2,20 @@
 
 One row per vehicle and frame under a header; columns in any order, further ones ignored:
 
-=========================  ==========================================================
-``frame``                  whole number
+=========================  ====================================================================
 ``vehicle_id``             whole number, 0 or more, or a text; the same vehicle in every frame
-``class``                  car, van, truck, bus or motorcycle
 ``x_m``, ``y_m``           box centre [m]
-``length_m``, ``width_m``  box size [m], more than 0
-``height_m``               box height [m], more than 0
-``heading_deg``            counter-clockwise from the table's x axis
+``frame``                  whole number; from ``time_s`` if left out
+``time_s``                 time of the frame [s]; from ``frame`` if left out
+``class``                  car, van, truck, bus or motorcycle, or a word for one; by length if left out
+``length_m``, ``width_m``  box size [m], more than 0; by class if left out
+``height_m``               box height [m], more than 0; by class if left out
+``heading_deg``            counter-clockwise from the table's x axis; that of motion if left out
 ``z_m`` (optional)         box centre above the road [m]; half the height if left out
-``time_s`` (optional)      time of the frame [s]
 ``lane`` (optional)        whole number
-=========================  ==========================================================
+=========================  ====================================================================
+
+Frame or time, and class or size, must be there. Persons are left out and counted.
 
 ``vehicles.csv`` of a run is such a table. It may be packed with gzip, and begin with lines that start with ``#``.
 Spreadsheets may have written it: with semicolons, tabs and decimal commas, as UTF-8, UTF-16 or Windows-1252.
@@ -23,16 +25,18 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError, unknown_name
 from ..files import number
-from .header import TableLayout, header_names, laid_out
+from .header import TableLayout, header_names, known_names, laid_out
 from .source import Column, Rows, first_lines, quoted, read_rows, vehicle_ids, vehicle_numbers
-from .tracks import drop_repeats
+from .sumo import frames_of, kind_of_fcd, parquet_batches
+from .sumo_types import DEFAULT_TYPES, class_in_name
+from .tracks import drop_repeats, fitted_velocity, heights, held_heading
 from .vehicles import CLASSES, Placing, Recording, RepairReport, ground_of
 
 _LENGTHS = ("length_m", "width_m", "height_m")
@@ -45,6 +49,9 @@ BOX_COLUMNS = {
     "time_s": Column("a number of seconds", -1e12, 1e12),
     "lane": Column("a whole number", 1 - 2**15, 2**15 - 1, whole=True),
 }
+_READ = {**BOX_COLUMNS, "heading_deg": _FAR._replace(optional=True)}  # an empty one is that of motion
+_SIZES_M = {"car": (4.5, 1.8), "van": (5.2, 2.0), "truck": (8.0, 2.5), "bus": (12.0, 2.55), "motorcycle": (2.2, 0.8)}
+_TRUCK_FROM_M = 7.0
 BOX_NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", *_LENGTHS, "heading_deg")
 _WORDS = {
     "frame": {"frame"},
@@ -55,7 +62,7 @@ _WORDS = {
     "length_m": {"length", "len", "l"},
     "width_m": {"width", "w"},
     "height_m": {"height", "h"},
-    "heading_deg": {"heading", "yaw", "angle", "orientation", "course"},
+    "heading_deg": {"heading", "yaw", "angle", "orientation", "course", "psi"},
 }
 """What a column may be called that is meant."""
 _TIME_STEP_LIMITS_S = (1e-3, 1e6)
@@ -69,6 +76,8 @@ def read_table(
     origin_m: tuple[float, float] = (0.0, 0.0),
     heading_deg: float = 0.0,
     time_step_s: float | None = None,
+    height_m: Mapping[str, float] | None = None,
+    source: str | None = None,
 ) -> Recording:
     """Read a table of boxes.
 
@@ -82,24 +91,47 @@ def read_table(
         Direction of the road's x axis in the table's frame [degrees], counter-clockwise.
     time_step_s : float, optional
         Time between consecutive frame numbers [s], instead of a column ``time_s``; 0.1 s if there is neither.
+    height_m : mapping, optional
+        Heights [m] by the keys of `vehicles.HEIGHTS_M`, for a table that has none.
+    source : str, optional
+        What a table in memory was read from.
 
     Raises
     ------
     MissingFileError, InputError
         If the file or one of its values cannot be used; the text names the line and the column.
     """
-    table, path = path, path if isinstance(path, str | Path) else "boxes"
+    table, path = path, path if isinstance(path, str | Path) else source or "boxes"
     placing = Placing(origin_m, heading_deg)
     low, high = _TIME_STEP_LIMITS_S
     if time_step_s is not None and not low <= time_step_s <= high:
         raise InputError(f"time_step_s is {time_step_s}; allowed: {low:g} to {high:g}")
-    columns, numbering = _columns(table)
-    rows_read = len(columns["frame"])
-    values = np.column_stack([column for name, column in columns.items() if name not in ("frame", "vehicle_id")])
+    columns, left_out, notes = _columns(table)
+    rows_read, assumed = len(columns["x_m"]) + left_out, []
+    if "frame" not in columns:
+        columns["frame"], _, uneven = frames_of(np.rint(1000.0 * columns["time_s"]).astype(np.int64))
+        notes += uneven
+    if "class" not in columns:
+        columns["class"] = np.where(columns["length_m"] >= _TRUCK_FROM_M, CLASSES.index("truck"), 0).astype(np.int8)
+        assumed.append(f"Class: truck from {_TRUCK_FROM_M:g} m of length on, else car, as the table has none")
+    if "length_m" not in columns or "width_m" not in columns:
+        sizes = np.array([_SIZES_M[name] for name in CLASSES])[columns["class"]]
+        columns |= {"length_m": sizes[:, 0], "width_m": sizes[:, 1]}
+        assumed.append("Sizes: by class, as the table has none")
+    if "height_m" not in columns:
+        columns["height_m"] = heights(columns["class"], columns["length_m"], height_m)
+        assumed.append("Heights: by class, as the table has none")
+    elif height_m:
+        raise InputError(f"{path}: [traffic] height_m is for traffic without heights, and the table has height_m")
+    others = [columns[name] for name in columns if name not in ("frame", "vehicle_id")]
+    values = np.nan_to_num(np.column_stack(others), nan=np.inf)
     kept, duplicates, repeated = drop_repeats(columns["vehicle_id"], columns["frame"], values)
     columns = {name: column[kept] for name, column in columns.items()}
-    time_s, step_s, assumed = _times(path, columns, time_step_s)
+    time_s, step_s, of_time = _times(path, columns, time_step_s)
     plane = placing.points(np.column_stack([columns["x_m"], columns["y_m"]]))
+    heading, held = _headings(columns, time_s, plane, placing)
+    if held is not None:
+        assumed.append("Headings: those of motion, as the table has none")
     return Recording.from_rows(
         frame=columns["frame"],
         time_s=time_s,
@@ -107,7 +139,7 @@ def read_table(
         class_index=columns["class"],
         centre_m=np.column_stack([plane, columns.get("z_m", columns["height_m"] / 2)]),
         size_m=np.column_stack([columns[name] for name in _LENGTHS]),
-        heading_rad=placing.headings(np.radians(columns["heading_deg"])),
+        heading_rad=heading,
         lane=columns.get("lane", np.zeros(len(kept))),
         time_step_s=step_s,
         source=str(path),
@@ -116,16 +148,47 @@ def read_table(
             len(kept),
             duplicates=duplicates,
             repeated=repeated,
-            notes=tuple(numbering),
-            assumed=assumed,
+            left_out=left_out,
+            headings_held=0 if held is None else int(held.sum()),
+            notes=tuple(notes),
+            assumed=(*of_time, *assumed),
             ground=ground_of(plane, columns.get("z_m", columns["height_m"] / 2) - columns["height_m"] / 2),
         ),
     )
 
 
+def _headings(
+    columns: dict[str, np.ndarray], time_s: np.ndarray, plane: np.ndarray, placing: Placing
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Headings in the road frame [rad], and where those of motion are held; None where the table has them."""
+    given = columns.get("heading_deg", np.full(len(plane), np.nan))
+    heading, missing = placing.headings(np.radians(given)), np.isnan(given)
+    if not missing.any():
+        return heading, None
+    velocity = fitted_velocity(columns["vehicle_id"], time_s, plane)
+    motion, held = held_heading(columns["vehicle_id"], velocity)
+    return np.where(missing, motion, heading), held & missing
+
+
 def likeness(header: str) -> int:
-    """How many of the needed columns a header has, or has something like."""
-    return len(_nearest_names(BOX_NEEDED, header_names(header, (*BOX_NEEDED, *OPTIONAL))[0]))
+    """How many columns of a table a header has, or has something like."""
+    names = header_names(header, (*BOX_NEEDED, *OPTIONAL))[0]
+    return len(_nearest_names(BOX_NEEDED, names)) + ("time_s" in names)
+
+
+def parquet_names(names: Sequence[str]) -> dict[str, str]:
+    """Of the columns of a Parquet file those of a table of boxes, by our names."""
+    found = dict(zip(known_names(names, (*BOX_NEEDED, *OPTIONAL)), names, strict=True))
+    return {name: found[name] for name in (*BOX_NEEDED, *OPTIONAL) if name in found}
+
+
+def _needed(present: Sequence[str]) -> list[str]:
+    """The columns that cannot be inferred from those that are there, or have a name there that is nearly right."""
+    needed = {"vehicle_id", "x_m", "y_m", *([] if "time_s" in present else ["frame"])}
+    needed |= set() if {"length_m", "width_m"} <= {*present} else {"class"}
+    missing = [name for name in BOX_NEEDED if name not in present]
+    near = _nearest_names(missing, [name for name in present if name not in (*BOX_NEEDED, *OPTIONAL)])
+    return [name for name in BOX_NEEDED if name in needed or name in near]
 
 
 def _nearest_names(wanted: Iterable[str], present: Iterable[str]) -> dict[str, str]:
@@ -145,46 +208,74 @@ def _nearest_names(wanted: Iterable[str], present: Iterable[str]) -> dict[str, s
 
 def _chunks(table: str | Path | Mapping) -> Iterable[Rows]:
     """The rows of a file, chunk by chunk, or of a table in memory, after its columns were checked."""
+    if isinstance(table, str | Path) and kind_of_fcd(table) == "parquet":
+        parts = list(parquet_batches(table, parquet_names))
+        table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
     if isinstance(table, str | Path):
-        layout = laid_out(table, BOX_NEEDED, OPTIONAL, _nearest_names)
-        return read_rows(table, layout, BOX_COLUMNS, ["class", "vehicle_id"])
-    TableLayout(list(map(str, table)), None, 0).check(BOX_NEEDED, OPTIONAL, "boxes", _nearest_names)
+        layout = laid_out(table, (), (*BOX_NEEDED, *OPTIONAL))
+        where = f"{table}:{layout.first_line - 1}"
+        layout.check(_needed(layout.columns), (*BOX_NEEDED, *OPTIONAL), where, _nearest_names)
+        return read_rows(table, layout, _READ, ["class", "vehicle_id"])
+    names = list(map(str, table))
+    TableLayout(names, None, 0).check(_needed(names), (*BOX_NEEDED, *OPTIONAL), "boxes", _nearest_names)
     columns = {name: np.asarray(table[name]) for name in (*BOX_NEEDED, *OPTIONAL) if name in table}
-    if len({column.shape for column in columns.values()}) > 1 or columns["frame"].ndim != 1:
+    if len({column.shape for column in columns.values()}) > 1 or columns["x_m"].ndim != 1:
         shapes = ", ".join(f"{name} {column.shape}" for name, column in columns.items())
         raise InputError(f"boxes: columns have shapes {shapes}; allowed: (n,), all of one length")
     for name, column in columns.items():
         if name == "vehicle_id" or column.dtype.kind not in "iuf":
             columns[name] = np.array([str(value) for value in column.tolist()], dtype=object)
-    rows = Rows(columns, range(1, 1 + len(columns["frame"])), "boxes: row ")
+    rows = Rows(columns, range(1, 1 + len(columns["x_m"])), "boxes: row ")
     return [rows] if len(rows) else []
 
 
-def _columns(table: str | Path | Mapping) -> tuple[dict[str, np.ndarray], list[str]]:
-    """The columns that are used, by name, classes as indices, the others as numbers; and a note if ids are texts."""
-    parts, ids, path = [], {}, table if isinstance(table, str | Path) else "boxes"
+def _columns(table: str | Path | Mapping) -> tuple[dict[str, np.ndarray], int, list[str]]:
+    """The columns that are used, by name, classes as indices, the others as numbers; rows left out; notes on ids."""
+    parts, ids, left_out, path = [], {}, 0, table if isinstance(table, str | Path) else "boxes"
     for rows in _chunks(table):
-        part = {name: rows.numbers(name, BOX_COLUMNS[name]) for name in rows.columns if name in BOX_COLUMNS}
-        parts.append(part | {"vehicle_id": vehicle_ids(rows, "vehicle_id", ids), "class": _class_indices(rows)})
-    if not parts:
+        kind = _class_indices(rows)
+        if kind is not None and (kind == _PERSON).any():
+            left_out += int((kind == _PERSON).sum())
+            rows, kind = rows.select(kind != _PERSON), kind[kind != _PERSON]
+        part = {name: rows.numbers(name, _READ[name]) for name in rows.columns if name in _READ}
+        if kind is not None and (kind < 0).any():
+            row = int(kind.argmin())
+            raise unknown_name(rows.columns["class"][row], CLASSES, "class", rows.where(row))
+        part |= {"vehicle_id": vehicle_ids(rows, "vehicle_id", ids)} | ({} if kind is None else {"class": kind})
+        parts.append(part)
+    if not any(len(part["x_m"]) for part in parts):
         below = "" if table is not path else f" below the header in line {first_lines(path)[0][0]}"
-        raise InputError(f"{path}: no rows{below}")
+        raise InputError(f"{path}: no vehicle in {left_out:,} rows" if left_out else f"{path}: no rows{below}")
     for name in ids:
         if not np.isnan(number(name)) and not (number(name) >= 0 and number(name) % 1 == 0):  # -1: no vehicle
             raise InputError(f"{path}: vehicle_id is {quoted(name)}; allowed: a whole number of at least 0, or a text")
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     vehicle, notes = vehicle_numbers(list(ids))
-    return columns | {"vehicle_id": vehicle[columns["vehicle_id"]]}, notes
+    return columns | {"vehicle_id": vehicle[columns["vehicle_id"]]}, left_out, notes
 
 
-def _class_indices(rows: Rows) -> np.ndarray:
-    index = {name: number for number, name in enumerate(CLASSES)}
-    texts = map(str, rows.columns["class"].tolist())
-    found = np.array([index.get(text.strip().lower(), -1) for text in texts], dtype=np.int8)
-    if (found < 0).any():
-        row = int(found.argmin())
-        raise unknown_name(rows.columns["class"][row], CLASSES, "class", rows.where(row))
-    return found
+_PERSON = -2
+_ALSO = {"truck_bus": "truck", "large-vehicle": "truck", "small-vehicle": "passenger"}  # in inD, in TGSIM
+
+
+def _class_indices(rows: Rows) -> np.ndarray | None:
+    """Indices into `CLASSES`, `_PERSON` for who is no vehicle on a road, -1 if unknown; None without a column."""
+    if "class" not in rows.columns:
+        return None
+    texts = list(map(str, rows.columns["class"].tolist()))
+    index = {text: _class_index(text) for text in set(texts)}
+    return np.array([index[text] for text in texts], dtype=np.int8)
+
+
+def _class_index(text: str) -> int:
+    """Of one class, or of a word for it; -1 for no known one."""
+    name = text.strip().lower()
+    if name in CLASSES:
+        return CLASSES.index(name)
+    if "pedestrian" in name:
+        return _PERSON
+    kind = DEFAULT_TYPES.get(_ALSO.get(name) or class_in_name(text) or "")
+    return -1 if kind is None else _PERSON if kind.class_name is None else CLASSES.index(kind.class_name)
 
 
 def _times(

@@ -1,0 +1,163 @@
+"""Trajectory data sets as tables: highD, inD and its kin, INTERACTION and K733, TGSIM; columns, axes, meta files.
+
+Sources: drone-dataset-tools of levelXdata (highD's x and y are a box's upper left corner, y points down, and its width
+is the length); the INTERACTION dataset's readme; TGSIM's data dictionary.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import InputError, MissingFileError
+from .header import TableLayout, fields_of
+from .source import Column, first_lines, open_bytes, read_rows
+from .table import BOX_COLUMNS, read_table
+from .vehicles import Recording
+
+
+class Preset(NamedTuple):
+    """A data set's table.
+
+    Attributes
+    ----------
+    columns : mapping of str to str
+        Ours, or ``time_ms`` and ``run``, by the data set's.
+    has_meta : bool
+        Whether a file beside it, ``_tracksMeta`` in place of ``_tracks``, has the classes.
+    is_corner, y_down : bool
+        Whether x and y are the corner with the least of both, and y points down.
+    rate_hz : float or None
+        Frames a second, unless a file of the recording says it; None where the table has times.
+    """
+
+    columns: Mapping[str, str]
+    has_meta: bool = False
+    is_corner: bool = False
+    y_down: bool = False
+    rate_hz: float | None = None
+
+
+_PLACE = {"x": "x_m", "y": "y_m"}
+PRESETS = {
+    "highd": Preset(
+        {"frame": "frame", "id": "vehicle_id", **_PLACE, "width": "length_m", "height": "width_m", "laneId": "lane"},
+        has_meta=True,
+        is_corner=True,
+        y_down=True,
+        rate_hz=25.0,
+    ),
+    "ind": Preset(
+        {"frame": "frame", "trackId": "vehicle_id", "xCenter": "x_m", "yCenter": "y_m"}
+        | {"heading": "heading_deg", "width": "width_m", "length": "length_m"},
+        has_meta=True,
+        rate_hz=25.0,
+    ),
+    "k733": Preset(  # psi_rad is 0 at standstill, and frames do not count time: headings and frames are inferred
+        {"track_id": "vehicle_id", "timestamp_ms": "time_ms", "agent_type": "class", **_PLACE}
+        | {"length": "length_m", "width": "width_m"},
+    ),
+    "tgsim": Preset(
+        {"id": "vehicle_id", "time": "time_s", "xloc-kf": "x_m", "yloc-kf": "y_m", "lane-kf": "lane"}
+        | {"length-smoothed": "length_m", "width-smoothed": "width_m", "type-most-common": "class", "run-index": "run"},
+        y_down=True,
+    ),
+}
+_HIGHD_WAYS = {"1": 180.0, "2": 0.0}  # drivingDirection: 1 along the upper lanes, to the left
+_READ = {**BOX_COLUMNS, "time_ms": Column("milliseconds"), "run": Column("a whole number", whole=True)}
+
+
+def preset_of(path: str | Path) -> str | None:
+    """The data set whose columns a file's header has; None for none."""
+    _, header = first_lines(path)[0]
+    names = {name.strip().lower() for name in fields_of(header)}
+    return next((name for name, one in PRESETS.items() if {key.lower() for key in one.columns} <= names), None)
+
+
+def meta_files(path: str | Path, preset: str) -> list[Path]:
+    """The files beside a recording that its data set needs, those that are there."""
+    if preset not in PRESETS or not PRESETS[preset].has_meta:
+        return []
+    path = Path(path)
+    stem = path.name.partition("_tracks")[0]
+    beside = (path.with_name(f"{stem}{what}.csv") for what in ("_tracksMeta", "_recordingMeta"))
+    return [one for one in beside if one.exists()]
+
+
+def read_preset(
+    path: str | Path,
+    *,
+    preset: str,
+    origin_m: tuple[float, float] = (0.0, 0.0),
+    heading_deg: float = 0.0,
+    height_m: Mapping[str, float] | None = None,
+) -> Recording:
+    """Read a recording of a data set; parameters as of `table.read_table`.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        As `read_table`; and where a file with the classes is not beside it.
+    """
+    known = PRESETS[preset]
+    line, header = first_lines(path)[0]
+    ours = {key.lower(): name for key, name in known.columns.items()}
+    ours.setdefault("class", "class")  # where somebody has joined it
+    names = [ours.get(name.strip().lower(), "") for name in fields_of(header)]
+    layout = TableLayout(names, ",", line + 1)
+    layout.check(known.columns.values(), (), f"{path}:{line}")
+    read = read_rows(path, layout, _READ, ["class", "vehicle_id"])
+    parts = [
+        rows.columns | {key: rows.numbers(key, _READ[key]) for key in rows.columns if key in _READ} for rows in read
+    ]
+    if not parts:
+        raise InputError(f"{path}: no rows below the header in line {line}")
+    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    if "run" in table:
+        table = {name: column[table["run"] == table["run"][0]] for name, column in table.items()}
+    if "time_ms" in table:
+        table["time_s"] = table.pop("time_ms") / 1000.0
+    if known.has_meta:
+        _join(path, preset, table)
+    if known.is_corner:
+        table["x_m"], table["y_m"] = table["x_m"] + table["length_m"] / 2, table["y_m"] + table["width_m"] / 2
+    if known.y_down:
+        table["y_m"] = -table["y_m"]
+    table.pop("run", None)
+    return read_table(table, origin_m=origin_m, heading_deg=heading_deg, height_m=height_m, source=str(path))
+
+
+def _join(path: str | Path, preset: str, table: dict[str, np.ndarray]) -> None:
+    """Add what the meta files of a recording say: classes, the direction of travel, and times."""
+    files = {one.stem.rpartition("_")[2]: one for one in meta_files(path, preset)}
+    rate = PRESETS[preset].rate_hz
+    if "recordingMeta" in files:
+        rate = float(_rows(files["recordingMeta"])[0].get("frameRate", rate))
+    table["time_s"] = table["frame"] / rate
+    if "class" in table:
+        return
+    if "tracksMeta" not in files:
+        raise MissingFileError(f"{path}: its tracksMeta.csv, which has the classes, is not beside it")
+    tracks = _rows(files["tracksMeta"])
+    key = "id" if "id" in tracks[0] else "trackId"
+    of = {str(int(float(row[key]))): row for row in tracks}
+    rows = [of.get(str(int(float(one)))) for one in table["vehicle_id"].tolist()]
+    if None in rows:
+        stranger = table["vehicle_id"][rows.index(None)]
+        raise InputError(f"{files['tracksMeta']}: has no vehicle {stranger}, which {path} has")
+    table["class"] = np.array([row["class"] for row in rows], dtype=object)
+    if "drivingDirection" in tracks[0]:
+        table["heading_deg"] = np.array([_HIGHD_WAYS.get(row["drivingDirection"], 0.0) for row in rows])
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    with open_bytes(path) as stream, io.TextIOWrapper(stream, encoding="utf-8-sig", newline="") as text:
+        rows = list(csv.DictReader(text))
+    if not rows:
+        raise InputError(f"{path}: no rows below the header")
+    return rows
