@@ -337,14 +337,14 @@ def score_cloud(
     Parameters
     ----------
     points : path, array_like (n, 3), PointCloud or Scan
-        The cloud [m]: an .npz or .pcd file, coordinates, or what `scan_frame` returned.
+        The cloud [m]: a file of any format that `score` reads, coordinates, or what `scan_frame` returned.
     boxes : path, Vehicles, DataFrame or mapping of str to (m,) values
         The boxes in the frame of the cloud: in the columns of vehicles.csv, or those of a frame. A `Scan` has its own.
     vehicle_id : array_like of int, (n,), optional
         The vehicle that each point belongs to, -1 for none, where `points` are coordinates.
     **settings
-        ``frame, assign, clearance_m, cell_m, threshold, view, metrics, lidar_xy``, as the attributes of
-        `commands.parsers.ScoreOptions`; a metric may be given itself.
+        ``frame, axes, pose, accept, assign, clearance_m, cell_m, threshold, view, metrics, lidar_xy``, as the
+        attributes of `commands.parsers.ScoreOptions`; a metric may be given itself.
 
     Returns
     -------
@@ -378,7 +378,7 @@ def score_cloud(
             f"score_cloud: boxes: hold {held}; allowed: one vehicle or more, of the frame that is asked for"
         )
     xyz, labels = read_points(asked.points) if isinstance(points, str | Path) else _arrays(points, vehicle_id)
-    return table_of(score_table(asked, metrics, xyz, labels, vehicles))
+    return table_of(score_table(asked, metrics, xyz, labels, vehicles)[0])
 
 
 _ELSEWHERE = ("points", "boxes", "out", "json")  # options of `score` that have an argument of their own, or none

@@ -58,6 +58,8 @@ LIBRARIES = {
     "numba": ("compiled.py",),
     "laspy": ("clouds/files.py",),
     "yaml": ("sensors/tables.py",),
+    "plyfile": ("clouds/files.py",),
+    "lzf": ("clouds/files.py",),
     "zstandard": ("world/blender/site.py",),
     "pyarrow": ("traffic/sumo.py",),
     "matplotlib": ("report/",),

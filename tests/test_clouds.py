@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.cli import main
-from blender_lidar.clouds.files import READERS, check_cloud_name, read_points, write_cloud
-from blender_lidar.errors import InputError, MissingFileError, OutputError
+from blender_lidar.clouds.files import WRITERS, check_cloud_name, levelled, read_points, write_cloud
+from blender_lidar.errors import InputError, MissingExtraError, MissingFileError, OutputError
 from blender_lidar.files import whole_file, write_bytes, write_text
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
@@ -27,7 +27,7 @@ HEADER = {
     "frame": 7,
     "note": "größer, \u2265 5 m",
 }
-SUFFIXES = sorted(READERS)
+SUFFIXES = sorted(WRITERS)
 
 
 def made(vehicles=20, gate=40.0):
@@ -71,10 +71,12 @@ def test_npz_holds_the_columns_and_units_of_the_contract(tmp_path):
 def test_points_and_vehicles_are_read_back(tmp_path, suffix, cloud):
     path = tmp_path / f"cloud{suffix}"
     write_cloud(path, cloud, HEADER)
-    assert files(tmp_path) == [path.name]
+    of_kitti, of_las = suffix.lower() == ".bin", suffix.lower() in (".las", ".laz")
+    assert files(tmp_path) == sorted([path.name, *(["cloud.label"] if of_kitti else [])])
     points, vehicle = read_points(path)
     assert points.dtype == np.float64
-    np.testing.assert_allclose(points, cloud.xyz, rtol=1e-6, atol=1e-6)
+    xyz = levelled(cloud.xyz, Pose.from_table(HEADER["pose"])) if of_kitti else cloud.xyz
+    np.testing.assert_allclose(points, xyz, rtol=1e-6, atol=1e-4 if of_las else 2e-6)
     assert points.shape == cloud.xyz.shape
     np.testing.assert_array_equal(vehicle, cloud.vehicle_id)
     assert vehicle.dtype == np.int64
@@ -105,8 +107,9 @@ def refusal(path):
 @pytest.mark.parametrize(
     ("arrays", "says"),
     [
-        ({"points": np.zeros((2, 3))}, "has no array 'xyz'; it has points"),
-        ({"xyz": np.zeros((2, 4))}, "xyz has shape (2, 4); allowed: (n, 3)"),
+        ({"cloud": np.zeros((2, 3))}, "has no array 'xyz' or 'points'; it has cloud"),
+        ({"xyz": np.zeros((2, 2))}, "xyz has shape (2, 2); allowed: (n, 3)"),
+        ({"xyz": np.zeros(3)}, "xyz has shape (3,); allowed: (n, 3)"),
         ({"xyz": np.zeros((2, 3)), "vehicle_id": np.zeros(3)}, "vehicle_id has shape (3,); allowed: (2,)"),
         ({"xyz": np.zeros((2, 3)), "vehicle_id": np.array([1, np.nan])}, "vehicle_id is nan; allowed: whole numbers"),
         ({"xyz": np.zeros((1, 3)), "vehicle_id": np.array(["7"])}, "vehicle_id is of type <U1; allowed: whole numbers"),
@@ -134,10 +137,10 @@ def test_a_file_that_is_missing_a_folder_or_of_another_kind_is_refused(tmp_path)
     with pytest.raises(MissingFileError, match="there is no such file"):
         read_points(tmp_path / "cloud.npz")
     (tmp_path / "folder.pcd").mkdir()
-    assert refusal(tmp_path / "folder.pcd") == "is a folder; allowed: a point cloud, .npz or .pcd"
-    (tmp_path / "cloud.xyz").write_text("1 2 3\n")
-    with pytest.raises(InputError, match=r"unknown cloud format '\.xyz'; allowed: \.npz, \.pcd"):
-        read_points(tmp_path / "cloud.xyz")
+    assert refusal(tmp_path / "folder.pcd").startswith("is a folder; allowed: a point cloud, .npz, .pcd, .ply")
+    (tmp_path / "cloud.e57").write_text("1 2 3\n")
+    with pytest.raises(InputError, match=r"unknown cloud format '\.e57'; allowed: \.npz, \.pcd"):
+        read_points(tmp_path / "cloud.e57")
     for name in ("cloud", "cloud.e57", ".npz"):
         with pytest.raises(InputError, match=r"^--out: .*unknown cloud format"):
             check_cloud_name(tmp_path / name, "--out")
@@ -186,7 +189,7 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no limits on the size of files")
 def test_a_full_disk_is_one_line_and_nothing_more_when_python_ends(tmp_path):
     """A limit on the size of files stands in for the full disk."""
-    names = [f"cloud{suffix}" for suffix in SUFFIXES]
+    names = [f"cloud{suffix}" for suffix in (".npz", ".pcd")]
     for name in names:
         write_cloud(tmp_path / name, CLOUD, HEADER)
     sizes = [(tmp_path / name).stat().st_size - 1 for name in names]
@@ -276,12 +279,14 @@ def test_an_ascii_file_without_points_is_an_empty_cloud(tmp_path):
     assert read_points(path)[0].shape == (0, 3)
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".pcd", ".xyz"])
 def test_points_that_are_not_finite_are_left_out_with_their_ids_and_counted(tmp_path, suffix):
     path = tmp_path / f"cloud{suffix}"
     rows = np.array([[1, 2, 3, 7], [np.nan, np.nan, np.nan, np.nan], [4, 5, 6, 8], [0, -np.inf, 0, 9]])
     if suffix == ".npz":
         np.savez(path, xyz=rows[:, :3], vehicle_id=rows[:, 3])
+    elif suffix != ".pcd":
+        path.write_text("x,y,z,vehicle_id\n" + "".join(",".join(map(str, row)) + "\n" for row in rows.tolist()))
     else:
         path.write_bytes(
             pcd(rows.astype("<f4").tobytes(), DATA="binary", WIDTH="2", HEIGHT="2", POINTS="4", **LABELLED)
@@ -318,3 +323,114 @@ def test_a_damaged_pcd_file_is_refused_in_one_line(tmp_path, name):
     path = tmp_path / "cloud.pcd"
     path.write_bytes(DAMAGED_PCD[name])
     assert refusal(path)
+
+
+# --- Clouds of others -------------------------------------------------------------------------------------------------
+
+XYZ = np.array([[1.25, -2.0, 3.5], [4.0, 5.5, -6.0], [553_217.25, 5_260_412.125, 0.5]])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1.25 -2 3.5\n4 5.5 -6\n553217.25 5260412.125 .5\n",
+        "//X Y Z Intensity\n1.25 -2 3.5 9\n4 5.5 -6 9\n553217.25 5260412.125 .5 9\n",
+        "\ufeff1.25,-2,3.5\r\n4,5.5,-6\r\n\r\n553217.25,5260412.125,.5\r\n",
+        "# made by hand\n1.25;-2;3.5\n4;5.5;-6\n553217.25;5260412.125;.5\n",
+        "class,z_m,y_m,x_m\ncar,3.5,-2,1.25\nroad,-6,5.5,4\nvan,.5,5260412.125,553217.25\n",
+        '"X"\t"Y"\t"Z"\n1.25\t-2\t3.5\n4\t5.5\t-6\n553217.25\t5260412.125\t.5\n',
+    ],
+)
+@pytest.mark.parametrize("suffix", [".csv", ".xyz"])
+def test_text_is_read_in_float64_whatever_separates_and_names_its_columns(tmp_path, text, suffix):
+    path = tmp_path / f"cloud{suffix}"
+    path.write_text(text, encoding="utf-8", newline="")
+    points, vehicle = read_points(path)
+    np.testing.assert_array_equal(points, XYZ)
+    assert vehicle is None
+
+
+@pytest.mark.parametrize(
+    "text", ["frame,lat,lon\n1,2,3\n", "1 2\n3 4\n", "1 2 3\n4 five 6\n", "1,5;2,5;3,5\n", "x,y,z\n1,2\n"]
+)
+def test_text_without_three_coordinates_is_refused_in_one_line(tmp_path, text):
+    (tmp_path / "cloud.csv").write_text(text)
+    assert refusal(tmp_path / "cloud.csv").startswith("is not a readable CSV file")
+
+
+def test_an_empty_text_holds_no_points(tmp_path):
+    (tmp_path / "cloud.csv").write_text("x,y,z\n")
+    with pytest.warns(UserWarning, match="left out"):
+        assert read_points(tmp_path / "cloud.csv")[0].shape == (0, 3)
+
+
+def test_a_compressed_pcd_file_is_read_field_after_field(tmp_path):
+    lzf = pytest.importorskip("lzf", reason="python-neo-lzf, of the extra formats, is not installed")
+    points, path = 500, tmp_path / "cloud.pcd"
+    xyz, ids = np.random.default_rng(3).integers(0, 9, (points, 3)).astype("<f4"), np.arange(points, dtype="<i4") % 7
+    body = b"".join([np.ones((points, 4), "<f4").tobytes(), *(column.tobytes() for column in xyz.T), ids.tobytes()])
+    packed = lzf.compress(body)
+    fields = {"FIELDS": "normal x y z vehicle_id", "SIZE": "4 4 4 4 4", "TYPE": "F F F F I", "COUNT": "4 1 1 1 1"}
+    head = pcd(DATA="binary_compressed", POINTS=str(points), WIDTH=str(points), **fields)
+    sizes = np.array([len(packed), len(body)], "<u4").tobytes()
+    path.write_bytes(head + sizes + packed)
+    read, vehicle = read_points(path)
+    np.testing.assert_array_equal(read, xyz)
+    np.testing.assert_array_equal(vehicle, ids)
+    for damaged in (sizes + packed[:-9], sizes[:6], sizes[:4] + b"\xff" * 4 + packed, sizes + b"\xff" * len(packed)):
+        path.write_bytes(head + damaged)
+        assert refusal(path).startswith("is not a readable PCD file")
+
+
+@pytest.mark.parametrize(("text", "order"), [(True, "="), (False, "<"), (False, ">")])
+def test_a_ply_file_of_doubles_is_read_to_the_last_digit(tmp_path, text, order):
+    plyfile = pytest.importorskip("plyfile", reason="plyfile, of the extra formats, is not installed")
+    vertex = np.zeros(3, dtype=[(name, "f8") for name in "zyx"])
+    for name, column in zip("xyz", XYZ.T, strict=True):
+        vertex[name] = column
+    element = plyfile.PlyElement.describe(vertex, "vertex")
+    plyfile.PlyData([element], text=text, byte_order=order).write(str(tmp_path / "cloud.ply"))
+    np.testing.assert_array_equal(read_points(tmp_path / "cloud.ply")[0], XYZ)
+
+
+def test_a_las_file_with_a_far_origin_is_read_in_float64(tmp_path):
+    laspy = pytest.importorskip("laspy", reason="laspy, of the extra formats, is not installed")
+    las = laspy.create(point_format=3, file_version="1.2")
+    las.header.offsets, las.header.scales = [553_000.0, 5_260_000.0, 0.0], [0.001] * 3
+    las.x, las.y, las.z = XYZ[2:].T
+    las.write(tmp_path / "cloud.las")
+    points, vehicle = read_points(tmp_path / "cloud.las")
+    np.testing.assert_allclose(points, XYZ[2:], atol=1e-9)
+    assert vehicle is None
+
+
+def test_files_of_kitti_and_nuscenes_are_read_and_wrong_sizes_refused(tmp_path):
+    rows = np.arange(20.0, dtype="<f4")
+    rows.tofile(tmp_path / "000001.bin")
+    rows.tofile(tmp_path / "sweep.pcd.bin")
+    np.testing.assert_array_equal(read_points(tmp_path / "000001.bin")[0], rows.reshape(-1, 4)[:, :3])
+    np.testing.assert_array_equal(read_points(tmp_path / "sweep.pcd.bin")[0], rows.reshape(-1, 5)[:, :3])
+    label = np.array([10 | 7 << 16, 40, 252 | 8 << 16, 30 | 9 << 16, 18], "<u4")  # a person is no vehicle
+    label.tofile(tmp_path / "000001.label")
+    assert read_points(tmp_path / "000001.bin")[1].tolist() == [7, -1, 8, -1, 0]
+    label[:4].tofile(tmp_path / "000001.label")
+    assert "its 5 points have 4 labels" in refusal(tmp_path / "000001.bin")
+    rows[:7].tofile(tmp_path / "000002.bin")
+    assert "28 bytes" in refusal(tmp_path / "000002.bin")
+
+
+def test_an_organised_array_and_further_columns_are_read(tmp_path):
+    organised = np.arange(24.0).reshape(2, 3, 4)
+    np.savez(tmp_path / "cloud.npz", points=organised, vehicle_id=np.arange(6).reshape(2, 3))
+    points, vehicle = read_points(tmp_path / "cloud.npz")
+    np.testing.assert_array_equal(points, organised.reshape(-1, 4)[:, :3])
+    assert vehicle.tolist() == list(range(6))
+
+
+@pytest.mark.parametrize(("suffix", "library"), [(".ply", "plyfile"), (".las", "laspy"), (".pcd", "lzf")])
+def test_without_its_library_a_file_is_refused_with_the_extra_that_brings_it(tmp_path, monkeypatch, suffix, library):
+    path = tmp_path / f"cloud{suffix}"
+    path.write_bytes(pcd(b"", DATA="binary_compressed"))
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(MissingExtraError, match=rf"needs {library}: .*blender_lidar\[formats\]"):
+        read_points(path)

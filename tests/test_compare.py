@@ -227,6 +227,17 @@ def test_a_beam_table_that_is_not_the_clouds_is_refused(tmp_path, capsys, sensor
     assert f"% of its {len(np.load(cloud)['xyz'])} points are near the rings of {sensor}, where chance gives" in message
 
 
+def test_a_cloud_in_another_frame_than_its_boxes_is_told(tmp_path, capsys):
+    vehicles = street(2, cars=9)
+    cloud, boxes = recorded(scanned(vehicles), vehicles, tmp_path)
+    np.savez(tmp_path / "mm.npz", xyz=1000.0 * np.load(cloud)["xyz"])
+    words = ("--boxes", boxes, "--sensor", SENSOR, "--height", HEIGHT_M, "--caster", CASTER)
+    message = refused(capsys, tmp_path, "compare", "--points", tmp_path / "mm.npz", *words)
+    assert "would after dividing the coordinates (mm) by 1000; if it is right" in message
+    np.savez(tmp_path / "f4.npz", xyz=(np.load(cloud)["xyz"] + np.array([5e5, 5e6, 0.0])).astype("f4"))
+    assert "in float32" in refused(capsys, tmp_path, "compare", "--points", tmp_path / "f4.npz", *words)
+
+
 # --- The command ------------------------------------------------------------------------------------------------------
 
 

@@ -406,6 +406,18 @@ def test_a_damaged_data_set_is_refused_in_a_line(made, tables, tmp_path, capsys)
     assert f"{number:06d}.csv: there is no such file" in message()
 
 
+def test_detections_in_another_frame_stop_unless_that_is_accepted(made, tmp_path, capsys):
+    own = csv_results(made, tmp_path / "own.csv")
+    header, *rows = [line.split(",") for line in own.read_text().splitlines()]
+    at = [header.index(name) for name in ("length_m", "width_m")]
+    for row in rows:
+        row[at[0]], row[at[1]] = row[at[1]], row[at[0]]
+    own.write_text("\n".join(map(",".join, [header, *rows])) + "\n")
+    words = "detect", made, "--detector", own, "--out", tmp_path / "judged"
+    assert "length and width are swapped; if it is right as it is" in refused(capsys, tmp_path, *words)
+    assert "Warning, accepted (frames): " in done(capsys, *words, "--accept", "frames")[0]
+
+
 def test_detections_and_detectors_that_do_not_fit_are_refused(made, tables, tmp_path, capsys):
     def message(*more: object, of: Path = made) -> str:
         return refused(capsys, tmp_path, "detect", of, *more, "--out", tmp_path / "judged")

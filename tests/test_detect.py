@@ -127,6 +127,47 @@ def test_detections_of_ones_own_are_judged_as_the_same_boxes_are(name, scene, tm
 
 
 @pytest.mark.usefixtures("quick")
+def test_detections_in_another_frame_stop_unless_that_is_accepted(scene, tmp_path, capsys):
+    done(capsys, "detect", scene, *MOUNT, *CLASSICAL, "--out", tmp_path / "found")
+    header, *rows = (tmp_path / "found" / "detections.csv").read_text().splitlines()
+    mirrored = [[*row[:3], f"-{row[3]}", *row[4:]] for row in (line.split(",") for line in rows)]
+    (tmp_path / "own.csv").write_text("\n".join([header, *map(",".join, mirrored)]) + "\n")
+    words = "--detector", tmp_path / "own.csv", "--out", tmp_path / "own"
+    line = refused(capsys, tmp_path, "detect", scene, *MOUNT, *words)
+    assert "would after a mirror in y; if it is right as it is, go on with --accept frames" in line
+    out, _ = done(capsys, "detect", scene, *MOUNT, *words, "--accept", "frames")
+    assert out.startswith("Warning, accepted (frames): ")
+    (warning,) = json.loads((tmp_path / "own" / "detection.json").read_text())["warnings"]
+    assert warning["name"] == "frames"
+
+
+def test_clouds_of_a_recording_give_the_boxes_that_those_of_a_scan_do(tmp_path, capsys):
+    """KITTI's .bin has neither header nor pose, and is in the sensor's frame."""
+    scene, frames = write_scene(tmp_path, REGION), ("--frame-ids", "10:20:10", *MOUNT)
+    for name in ("npz", "bin"):
+        done(capsys, "scan", scene, *frames, "--format", name, "--out", tmp_path / name)
+    done(capsys, "detect", tmp_path / "npz", "--out", tmp_path / "of_npz")
+    placed = "--axes", "flu", "--pose", 0, 0, 4.5, 0, 0, 0
+    out, _ = done(capsys, "detect", tmp_path / "bin", *placed, "--out", tmp_path / "of_bin")
+    assert "not on a sensor without a name" in out
+    given, found = (
+        np.genfromtxt(tmp_path / name / "detections.csv", delimiter=",", skip_header=1, usecols=(0, 2, 3, 9))
+        for name in ("of_npz", "of_bin")
+    )
+    sure = [one[one[:, 3] > 0.3] for one in (given, found)]
+    assert len(sure[0]) == len(sure[1]) > 1
+    np.testing.assert_allclose(sure[0], sure[1], atol=0.3)
+    empty = tmp_path / "bin"
+    assert "a recording needs --pose" in refused(capsys, tmp_path, "detect", empty, "--out", tmp_path / "x")
+    assert "--axes: is given without --pose" in refused(capsys, tmp_path, "detect", empty, "--axes", "flu")
+    assert "folders of recorded clouds" in refused(capsys, tmp_path, "detect", scene, *placed)
+    assert "classical needs rings" in refused(capsys, tmp_path, "detect", empty, *placed, *CLASSICAL)
+    (tmp_path / "named").mkdir()
+    (tmp_path / "named" / "cloud.csv").write_text("1,2,3\n")
+    assert "does not end with the number" in refused(capsys, tmp_path, "detect", tmp_path / "named", *placed)
+
+
+@pytest.mark.usefixtures("quick")
 def test_a_lidar_that_hangs_off_its_plan_costs_overlap(scene, tmp_path, capsys):
     """The classical detector looks at ranges, so that it finds as much, but at places that are off."""
     scores = []

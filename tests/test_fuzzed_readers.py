@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -140,7 +141,39 @@ def _clouds() -> dict[str, bytes]:
         "packed.npz": packed.getvalue(),
         "binary.pcd": f"{header}POINTS 20\nDATA binary\n".encode() + record.tobytes(),
         "ascii.pcd": f"{header}POINTS 20\nDATA ascii\n{text}".encode(),
+        "cloud.csv": b"x,y,z,vehicle_id\n" + text.replace(" ", ",").encode(),
+        "cloud.xyz": text.encode(),
+        "cloud.bin": np.arange(80.0, dtype="<f4").tobytes(),
+        **_of_libraries(xyz),
     }
+
+
+def _of_libraries(xyz) -> dict[str, bytes]:
+    """Files of libraries that are installed."""
+    made = {}
+    if find_spec("plyfile"):
+        head = "ply\nformat {} 1.0\nelement vertex 20\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+        body = "".join(f"{x} {y} {z}\n" for x, y, z in xyz).encode()
+        made["ascii.ply"] = (head.format("ascii") + "end_header\n").encode() + body
+        made["binary.ply"] = (head.format("binary_little_endian") + "end_header\n").encode() + xyz.astype(
+            "<f4"
+        ).tobytes()
+    if find_spec("laspy"):
+        import laspy
+
+        las, packed = laspy.create(point_format=6, file_version="1.4"), io.BytesIO()
+        las.x, las.y, las.z = xyz.T
+        las.write(packed)
+        made["cloud.las"] = packed.getvalue()
+    if find_spec("lzf"):
+        import lzf
+
+        packed = lzf.compress(np.repeat(xyz.T, 4, axis=1).astype("<f4").tobytes())
+        head = (
+            "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 80\nHEIGHT 1\nPOINTS 80\nDATA binary_compressed\n"
+        )
+        made["compressed.pcd"] = head.encode() + np.array([len(packed), 960], "<u4").tobytes() + packed
+    return made
 
 
 @pytest.mark.parametrize("name", _clouds())

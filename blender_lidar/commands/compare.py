@@ -9,9 +9,13 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..casting import resolve
+from ..clouds.files import check_steps
+from ..clouds.fit import accepted, cloud_misfit
 from ..errors import InputError, MissingExtraError, unknown_name
 from ..files import check_folder, check_unused, make_folder, write_columns, write_text
+from ..names import DEFAULT_CELL_M
 from ..report.compare import comparison_text, draw_comparison
+from ..report.summary import warnings_text
 from ..scene.provenance import versions
 from ..sensors.beams import beam_lattice
 from ..sensors.imperfections import Imperfections
@@ -38,10 +42,18 @@ def run(args: argparse.Namespace) -> int:
     check_unused(folder, "--out", "comparison")
     setup, losses = setup_of(asked), asked.losses or "none"
     lattice = beam_lattice(load_model(asked.sensor), asked.rotation_hz)
-    frames = tabled_frames(asked.points, asked.boxes, asked.frames)
+    warned = []
+
+    def fitting():
+        for frame in tabled_frames(asked.points, asked.boxes, asked.frames):
+            check_steps(frame.points, DEFAULT_CELL_M, frame.where)
+            misfit = cloud_misfit(frame.points, frame.boxes, options=False)
+            warned.extend(accepted(misfit, f"{frame.where}, {asked.boxes}", asked.accept))
+            yield frame
+
     progress = Progress(len(asked.points), "clouds")
     try:
-        found = compare_frames(frames, lattice, setup, lambda: progress.advance(1))
+        found = compare_frames(fitting(), lattice, setup, lambda: progress.advance(1))
     finally:
         progress.close()
     result = {
@@ -57,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
         "label_margin_m": list(setup.margin_m),
         "ground_clearance_m": setup.clearance_m,
         "left_out": found.left_out,
+        "warnings": warned,
         **aggregate(found.table),
         "versions": versions(setup.caster),
     }
@@ -70,7 +83,10 @@ def run(args: argparse.Namespace) -> int:
     except MissingExtraError as error:
         note(f"no picture: {error}")
     write_text(folder / RESULT, json.dumps(result, indent=2, allow_nan=False) + "\n")
-    return say_result(args, f"{comparison_text(result)}\n\nResults in {folder}: {', '.join(written)}", result)
+    text = "\n".join(
+        [*warnings_text(result), comparison_text(result), "", f"Results in {folder}: {', '.join(written)}"]
+    )
+    return say_result(args, text, result)
 
 
 def setup_of(asked: CompareOptions) -> Setup:

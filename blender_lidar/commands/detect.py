@@ -50,6 +50,7 @@ from ..scoring.evaluation import workplace_of
 from ..toml_table import settings_of
 from ..traffic.boxes import DetectedBoxes
 from .options import default_folder, given_options, mounting_from, new_folder, scenario_from
+from .parsers import ScoreOptions
 from .progress import Progress
 from .report import note, say_result
 
@@ -62,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
     place = Path(args.scene)
     if place.is_dir() and args.scene not in shipped_scenes():
         return (_run_dataset if is_dataset(place) else _run_clouds)(args, place)
+    if args.axes is not None or args.pose is not None:
+        raise InputError(f"--axes, --pose: are options for folders of recorded clouds, but {args.scene} is a scene")
     check_detector(args.detector)
     scenario = scenario_from(args)
     mounting = mounting_from(args, scenario)
@@ -135,7 +138,7 @@ def judge_at(site: Site, mounting: Mounting, detector: str, folder: Path) -> dic
         "hangs": hung_off(site, mounting).as_table(),
         "criteria": [criterion.name for criterion in CRITERIA],
         **detection_result(site, detector, judged),
-        "warnings": site.recording.report.warnings_as_dicts(),
+        "warnings": [*site.recording.report.warnings_as_dicts(), *judged["given"].warnings],
         "notes": [*site.plan.notes, *judged["given"].notes],
         "versions": versions(site.observation.caster),
     }
@@ -175,13 +178,13 @@ _OF_FOLDERS = ("scene", "detector", "out", "workers", "verb", "run", "left_out")
 
 def _run_dataset(args: argparse.Namespace, place: Path) -> int:
     """Judge a detector on the scans of a data set that validate; returns the exit code."""
-    _refuse_options(args, "a data set", ("json",))
+    _refuse_options(args, "a data set", ("json", "accept"))
     stored = read_dataset(place)
     check_clouds(stored, args.detector)
     check_detector(args.detector)
     folder = _folder(args, lambda: new_folder(f"{place.resolve().name}_detection"))
     with ExitStack() as stack:
-        judged = judge_on_dataset(stored, args.detector, _workers(args), _progress(stack))
+        judged = judge_on_dataset(stored, args.detector, _workers(args), _progress(stack), args.accept)
     result = dataset_result(stored, args.detector, judged)
     _write(folder, {"": (dict(zip(result["scan_ids"], judged.boxes, strict=True)), stored.poses)}, result)
     scans = f"{result['scans']:,} scans{' of split val' * stored.validates} ({result['frames']} frames)"
@@ -189,15 +192,18 @@ def _run_dataset(args: argparse.Namespace, place: Path) -> int:
 
 
 def _run_clouds(args: argparse.Namespace, place: Path) -> int:
-    """Detect in the NPZ clouds of a folder, as ``scan --frame-ids`` writes them; returns the exit code."""
+    """Detect in the clouds of a folder: NPZ, as ``scan --frame-ids`` writes them, or a recording's; the exit code."""
     check_detector(args.detector)
     if not is_ours(args.detector):
         text = f"allowed with a folder of clouds: {' or '.join(DETECTORS)}; to judge a file of detections give"
         raise InputError(f"--detector: {args.detector}: {text} detect SCENE or DATASET --detector FILE")
-    _refuse_options(args, "a folder of clouds")
+    given = given_options(args, {key: settings_of(ScoreOptions)[key] for key in ("axes", "pose")})
+    if "axes" in given and "pose" not in given:
+        raise InputError("--axes: is given without --pose; allowed: both, for clouds of a recording")
+    _refuse_options(args, "a folder of clouds", tuple(given))
     folder = _folder(args, lambda: new_folder("detections"))
     with ExitStack() as stack:
-        found, pose, notes = detect_in_clouds(place, args.detector, _workers(args), _progress(stack))
+        found, pose, notes = detect_in_clouds(place, args.detector, _workers(args), _progress(stack), **given)
     make_folder(folder, "--out")
     write_detected(folder / "detections.csv", found)
     write_kitti_labels(folder / "label_2", found, pose)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 
-from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, METRIC_NAMES, VIEWS
+from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, FRAMES, METRIC_NAMES, VIEWS
 from ..scene.settings import TrafficSettings
 from ..toml_table import setting, settings_of
 from .options import SEARCH_OPTIONS, Once, add_moments, add_option, add_options, add_pose, add_scene
@@ -85,7 +85,8 @@ def _init(subparsers) -> None:
     kinds = (
         "format of the recording: ngsim; sumo, the output of --fcd-output, with x and y in metres; table, a CSV with "
         "the columns frame, vehicle_id, class, x_m, y_m, length_m, width_m, height_m, heading_deg and optionally z_m, "
-        "time_s, lane; highd, ind, k733 (INTERACTION too) or tgsim, a data set's own table; auto (default) finds it from the file; example, without FILE, takes the shipped sample"
+        "time_s, lane; highd, ind, k733 (INTERACTION too) or tgsim, a data set's own table; auto (default) finds it from "
+        "the file; example, without FILE, takes the shipped sample"
     )
     add("--from", dest="source", nargs="+", metavar=("FORMAT", "FILE"), help=kinds)
     settings = settings_of(TrafficSettings)
@@ -234,16 +235,20 @@ def _detect(subparsers) -> None:
         "Let a detector find the vehicles of the held-out frames at a mounting and at the baseline, and write recall, "
         "precision and average precision with paired intervals, the boxes as CSV and as KITTI's labels, and a picture "
         "of one frame. Given a data set, judge the detector on its validation scans, each from its mounting. Given a "
-        "folder of NPZ clouds, write the boxes that the detector finds in them.",
+        "folder of clouds, those of scan or with --pose of a recording, write the boxes that the detector finds.",
         "i80 --height 4.5 --tilt-x 23",
         "i80 --height 4.5 --tilt-x 23 --detector classical",
         "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
         "i80_set --detector my_label_2",
         "clouds --out boxes",
+        "sweeps --axes flu --pose 0 0 4.1 0 0 0 --out boxes",
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster"))
     add_pose(parser)
     _detector(parser, "pillars")
+    clouds = parser.add_argument_group("a folder of recorded clouds, whose names end with the numbers of their frames")
+    for key in ("axes", "pose"):
+        add_option(clouds, settings_of(ScoreOptions)[key], key)
     _output(parser)
 
 
@@ -335,11 +340,17 @@ class ScoreOptions:
     Attributes
     ----------
     points : str
-        The cloud: .npz with xyz, or .pcd.
+        The cloud: .npz with xyz, .pcd, .ply, .las, .laz, KITTI's .bin, .csv or .xyz.
     boxes : str
         The boxes, in the columns of vehicles.csv and the frame of the cloud.
     frame : int or None
         Number of the frame, if the boxes are of several frames.
+    axes : str
+        Where x, y and z of the cloud point: r(ight) or l(eft), f(orward) or b(ack), u(p) or d(own); flu for KITTI's.
+    pose : (float, ...) or None
+        Where the sensor hangs whose frame the cloud is in: x, y and height [m], tilts and yaw [degrees].
+    accept : tuple of str or None
+        Go on though cloud and boxes do not fit, which is then told with the results: frames.
     assign : str
         How points are assigned to vehicles: id, by their vehicle_id; box, by the box they lie in.
     clearance_m : float
@@ -363,6 +374,11 @@ class ScoreOptions:
     points: str = setting(option="--points", metavar="CLOUD")
     boxes: str = setting(option="--boxes", metavar="BOXES.csv")
     frame: int | None = setting(None, option="--frame", metavar="K")
+    axes: str = setting("rfu", option="--axes", metavar="XYZ")
+    pose: tuple[float, float, float, float, float, float] | None = setting(
+        None, low=-1e9, high=1e9, option="--pose", metavar=("X", "Y", "HEIGHT", "TILT_X", "TILT_Y", "YAW")
+    )
+    accept: tuple[str, ...] | None = setting(None, allowed=(FRAMES,), option="--accept")
     assign: str = setting("id", allowed=("id", "box"), option="--assign")
     clearance_m: float = setting(0.1, low=0.0, option="--ground-clearance", metavar="M")
     cell_m: float = setting(DEFAULT_CELL_M, low=0.001, option="--cell", metavar="M")
@@ -384,7 +400,7 @@ def _score(subparsers) -> None:
         "--points sweep.pcd --boxes boxes.csv --assign box --metric all",
     )
     groups = {
-        "what is scored": ("points", "boxes", "frame", "assign", "clearance_m", "lidar_xy"),
+        "what is scored": ("points", "boxes", "frame", "axes", "pose", "accept", "assign", "clearance_m", "lidar_xy"),
         "metric": ("cell_m", "threshold", "view", "metrics"),
         "output": ("out", "json"),
     }
@@ -398,11 +414,13 @@ class CompareOptions:
     Attributes
     ----------
     points : tuple of str
-        A recorded cloud: .npz with xyz, or .pcd; may be repeated.
+        A recorded cloud, in a format that score reads; may be repeated.
     boxes : str
         The labelled boxes, in the columns of vehicles.csv and the frame of the clouds.
     frames : tuple of int or None
         For each cloud the number of its frame, if the boxes are of several frames.
+    accept : tuple of str or None
+        Go on though cloud and boxes do not fit, which is then told with the results: frames.
     classes : tuple of str or None
         Label of the vehicles to compare; may be repeated; by default all classes that can be simulated.
     distance_m : (float, float) or None
@@ -435,6 +453,7 @@ class CompareOptions:
     boxes: str = setting(option="--boxes", metavar="BOXES.csv")
     sensor: str = setting(option="--sensor", metavar="NAME")
     frames: tuple[int, ...] | None = setting(None, option="--frame", metavar="K")
+    accept: tuple[str, ...] | None = setting(None, allowed=(FRAMES,), option="--accept")
     classes: tuple[str, ...] | None = setting(None, option="--class", metavar="NAME")
     distance_m: tuple[float, float] | None = setting(None, low=0.0, option="--distance", metavar=("NEAR", "FAR"))
     rotation_hz: float | None = setting(None, above=0.0, option="--rotation")
@@ -466,7 +485,7 @@ def _compare(subparsers) -> None:
         "--points sweep.pcd --boxes boxes.csv --sensor RS-80 --height 4.1 --distance 10 50 --losses dropout=0.05",
     )
     groups = {
-        "what is compared": ("points", "boxes", "frames", "classes", "distance_m"),
+        "what is compared": ("points", "boxes", "frames", "accept", "classes", "distance_m"),
         "sensor": ("sensor", "rotation_hz", "x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"),
         "simulation": ("details", "losses", "label_margin_m", "clearance_m", "caster"),
         "output": ("out", "json"),

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..clouds.files import read_points
+from ..clouds.files import check_steps, read_points
+from ..clouds.fit import accepted, cloud_misfit, in_frame
 from ..errors import InputError
 from ..files import write_columns
 from ..metrics.assignment import NO_BOX, points_in_boxes
@@ -19,6 +20,7 @@ from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE, NEEDS_DISTANCE, NEEDS_POINTS, Metric, vehicle_returns
 from ..metrics.vgop import entropy, to_vehicle_frame
 from ..optimise import detectable
+from ..report.summary import warnings_text
 from ..traffic import read_table
 from ..traffic.source import NUMBERED
 from ..traffic.vehicles import Vehicles
@@ -39,10 +41,10 @@ def run(args: argparse.Namespace) -> int:
     asked = options_of(args, ScoreOptions)
     metrics = metrics_of(asked)
     points, vehicle_id = read_points(asked.points)
-    table = score_table(asked, metrics, points, vehicle_id, boxes_of(asked, asked.boxes))
+    table, warned = score_table(asked, metrics, points, vehicle_id, boxes_of(asked, asked.boxes))
     if asked.out:
         write_columns(asked.out, table, dict.fromkeys((*_SHARES, "entropy_bits"), 6))
-    (_print_json if asked.json else _print)(table, len(points), metrics)
+    (_print_json if asked.json else _print)(table, len(points), metrics, warned)
     return 0
 
 
@@ -52,9 +54,16 @@ def score_table(
     points: np.ndarray,
     vehicle_id: np.ndarray | None,
     vehicles: Vehicles,
-) -> dict[str, np.ndarray]:
-    """Scores of the vehicles of a labelled cloud, by column; `points` are (k, 3) [m], `vehicle_id` (k,)."""
+) -> tuple[dict[str, np.ndarray], list[dict[str, str]]]:
+    """Scores of the vehicles of a labelled cloud, by column, and what of its frame was accepted.
+
+    `points` are (k, 3) in its own frame [m], `vehicle_id` (k,).
+    """
+    check_steps(points, asked.cell_m, asked.points)
+    points = in_frame(points, asked.axes, asked.pose)
     row = _assigned(asked, points, vehicle_id, vehicles)
+    misfit = cloud_misfit(points, vehicles, row if asked.assign == "id" else None)
+    warned = accepted(misfit, f"{asked.points}, {asked.boxes}", asked.accept)
     mine = row != NO_BOX
     local = to_vehicle_frame(points[mine], vehicles.centre_m, vehicles.heading_rad, row[mine])
     away = None if asked.lidar_xy is None else np.hypot(*(vehicles.centre_m[:, :2] - asked.lidar_xy).T)
@@ -76,7 +85,7 @@ def score_table(
         if _column(metric) in table:
             raise InputError(f"--metric: {metric.name!r} is the name of another column; give the function another name")
         table[_column(metric)] = metric.values(returns)
-    return table
+    return table, warned
 
 
 def metrics_of(asked: ScoreOptions) -> list[Metric]:
@@ -132,8 +141,9 @@ def _rows(table):
     return [dict(zip(table, values, strict=True)) for values in zip(*columns, strict=True)]
 
 
-def _print_json(table, points, metrics):
+def _print_json(table, points, metrics, warned):
     scores = {
+        "warnings": warned,
         "points": points,
         "entropy_bits_per_vehicle": float(table["entropy_bits"].mean()),
         "detectable_share": float(table["detectable"].mean()),
@@ -146,7 +156,8 @@ def _print_json(table, points, metrics):
     print(json.dumps(scores | {"vehicles": _rows(table)}, indent=2))
 
 
-def _print(table, points, metrics):
+def _print(table, points, metrics, warned):
+    print("".join(f"{line}\n" for line in warnings_text({"warnings": warned})), end="")
     added = [metric for metric in metrics if metric.name not in _ALWAYS]
     print("  ".join([_HEADING, *(metric.name for metric in added)]))
     for row in _rows(table):

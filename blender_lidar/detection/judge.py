@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ..clouds.fit import accepted, detections_misfit
 from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
@@ -122,6 +123,8 @@ class JudgedDetector:
         not ours.
     notes : sequence of str
         What was unlike what the detector is made for.
+    warnings : sequence of dict
+        What does not fit of a file of detections and was accepted, for a result file.
     """
 
     boxes: Sequence[DetectedBoxes]
@@ -129,6 +132,7 @@ class JudgedDetector:
     of_kinds: Sequence[Sequence[Matches]]
     with_return: float | None
     notes: Sequence[str] = ()
+    warnings: Sequence[Mapping[str, str]] = ()
 
 
 def judging_frames(site: Site) -> tuple[Sequence[CountedFrame], np.ndarray, np.ndarray]:
@@ -238,13 +242,14 @@ def judged_boxes(
     lidar_xy: tuple[float, float] | np.ndarray,
     with_return: float | None,
     notes: Sequence[str] = (),
+    warnings: Sequence[Mapping[str, str]] = (),
 ) -> JudgedDetector:
     """Detections of frames, matched by each of `CRITERIA`, all and of each of `KINDS`; `lidar_xy` as for `match`."""
     of_all, *of_kinds = (
         [match(boxes, frames, region, lidar_xy, criterion, kind) for criterion in CRITERIA]
         for kind in (None, *range(len(KINDS)))
     )
-    return JudgedDetector(boxes, of_all, of_kinds, with_return, notes)
+    return JudgedDetector(boxes, of_all, of_kinds, with_return, notes, warnings)
 
 
 def region_of_alarms(region: Region) -> Region:
@@ -259,11 +264,13 @@ def judged_from_file(site: Site, mounting: Mounting, path: str) -> JudgedDetecto
     ------
     MissingFileError, InputError
         If it cannot be read, or lacks judging frames; a CSV file has no rows of frames without boxes, but must have
-        some.
+        some. If they do not fit the traffic, unless that is accepted.
     """
     frames = judging_frames(site)[0]
     boxes = boxes_from_file(path, mounting.pose, [frame.vehicles.frame for frame in frames], "judging frames")
-    return judged_boxes(boxes, frames, region_of_alarms(site.region), mounting.xy, None)
+    misfit = detections_misfit(boxes, [frame.vehicles for frame in frames])
+    warnings = accepted(misfit, path, site.scenario.traffic.accept)
+    return judged_boxes(boxes, frames, region_of_alarms(site.region), mounting.xy, None, warnings=warnings)
 
 
 def boxes_from_file(path: str | Path, poses: Poses, numbers: Sequence[int], what: str) -> list[DetectedBoxes]:

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..clouds.files import read_cloud
+from ..clouds.files import READERS, read_cloud, read_points
+from ..clouds.fit import accepted, detections_misfit, in_frame
 from ..clouds.scan import PointCloud
 from ..errors import InputError
 from ..road.straight import StraightRoad, road_map
@@ -72,6 +73,7 @@ _FARTHEST = 1e9
 
 # --- Clouds of one mounting -------------------------------------------------------------------------------------------
 
+_RECORDED_REACH_M = 100.0
 _FEWEST_CLOUDS = 5  # from which a background can be learnt
 _OF_HEADERS = {
     "sensor": Setting(kind=str),
@@ -128,18 +130,44 @@ class StoredClouds:
         return self.read(path)[0]
 
 
-def _look(detector: Detector, clouds: StoredClouds, path: Path) -> tuple[int, DetectedBoxes, Any]:
+class RecordedClouds(NamedTuple):
+    """Clouds of a recording by their paths, with axes and the pose of the sensor as for `clouds.fit.in_frame`."""
+
+    axes: str
+    at: Sequence[float]
+
+    @property
+    def pose(self) -> Pose:
+        """Where the sensor hangs, in the road frame."""
+        return Pose(*self.at[:3], *np.radians(self.at[3:]).tolist())
+
+    def read(self, path: Path) -> tuple[PointCloud, int]:
+        """A cloud, of which the points alone are known, and the number at the end of its name."""
+        frame = re.search("[0-9]{1,18}$", path.name.partition(".")[0])
+        if frame is None:
+            raise InputError(f"{path}: its name does not end with the number of a frame, as in sweep_000100.pcd")
+        xyz = in_frame(read_points(path)[0], self.axes, self.at)
+        return PointCloud(xyz, *np.zeros((8, len(xyz)))), int(frame[0])
+
+
+def _look(detector: Detector, clouds: StoredClouds | RecordedClouds, path: Path) -> tuple[int, DetectedBoxes, Any]:
     """The frame of a cloud, its detections, and what the notes need."""
     cloud, frame = clouds.read(path)
     return frame, *detector.detect(cloud)
 
 
 def detect_in_clouds(
-    folder: Path, name: str, workers: int, progress: Progress
+    folder: Path,
+    name: str,
+    workers: int,
+    progress: Progress,
+    axes: str = "rfu",
+    pose: Sequence[float] | None = None,
 ) -> tuple[dict[int, DetectedBoxes], Pose, Sequence[str]]:
     """What a detector of ours finds in the NPZ clouds of a folder, as ``scan --frame-ids`` writes them.
 
-    The classical one learns the background from them.
+    The classical one learns the background from them. With a `pose` they are a recording's, of any format, in the
+    frame of its sensor, as for `clouds.fit.in_frame`.
 
     Returns
     -------
@@ -154,20 +182,25 @@ def detect_in_clouds(
     InputError
         For clouds that cannot be read or are not of one mounting.
     """
-    paths = sorted(folder.glob("*.npz"))
+    kinds = (".npz",) if pose is None else tuple(READERS)
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds)
     learns = name == ClassicalDetector.name
+    if learns and pose is not None:
+        raise InputError(f"--detector: {name} needs rings; allowed with recorded clouds: {PillarsDetector.name}")
     if len(paths) < (_FEWEST_CLOUDS if learns else 1):
-        few = f"has {len(paths)} .npz clouds, as scan --frame-ids writes them"
+        few = f"has {len(paths)} {', '.join(kinds)} clouds"
+        few += ", as scan --frame-ids writes them; a recording needs --pose" * (pose is None)
         wanted = f"{_FEWEST_CLOUDS} or more, to learn the empty scene from" if learns else "at least one"
         raise InputError(f"{folder}: {few}; allowed: {wanted}")
-    clouds = StoredClouds.of(paths[0])
+    clouds = StoredClouds.of(paths[0]) if pose is None else RecordedClouds(axes, pose)
     at, advance = clouds.pose.position[:2], progress((1 + learns) * len(paths))
     if learns:
         detector = ClassicalDetector(clouds.lattice, tuple(at), clouds.sensor.imperfections)
         detector.learn(of_each(partial(range_image, detector, clouds), paths, workers, advance))
     else:
-        reach = clouds.sensor.range_gate_m
-        sensor = clouds.lattice.model.name
+        sensor, reach = "a sensor without a name", _RECORDED_REACH_M
+        if pose is None:
+            sensor, reach = clouds.lattice.model.name, clouds.sensor.range_gate_m
         detector = PillarsDetector(sensor, clouds.pose, at - reach, at + reach, weights_of(name))
     frames, boxes, seen = zip(*of_each(partial(_look, detector, clouds), paths, workers, advance), strict=True)
     if len(set(frames)) < len(frames):
@@ -275,15 +308,18 @@ def read_dataset(folder: Path) -> StoredDataset:
     )
 
 
-def judge_on_dataset(stored: StoredDataset, name: str, workers: int, progress: Progress) -> JudgedDetector:
+def judge_on_dataset(
+    stored: StoredDataset, name: str, workers: int, progress: Progress, accept: Sequence[str] | None = None
+) -> JudgedDetector:
     """Judge a detector on the judging scans: PointPillars, or a file of detections by the numbers of the scans.
 
     Raises
     ------
     MissingFileError, InputError
-        For a file that cannot be read or lacks scans, a data set without NPZ clouds, and for the classical detector.
+        For a file that cannot be read, lacks scans or does not fit unless that is in `accept`, a data set without NPZ
+        clouds, and for the classical detector.
     """
-    numbers, notes = stored.judging.tolist(), []
+    numbers, notes, warnings = stored.judging.tolist(), [], []
     frames, points = zip(*map(stored.boxes, numbers), strict=True)
     returns = np.concatenate([of[frame.counted] for frame, of in zip(frames, points, strict=True)]) > 0.0
     if is_ours(name):
@@ -291,13 +327,14 @@ def judge_on_dataset(stored: StoredDataset, name: str, workers: int, progress: P
     else:
         what = f"scans{' of split val' * stored.validates} of the data set"
         boxes = boxes_from_file(name, stored.poses, numbers, what)
+        warnings = accepted(detections_misfit(boxes, [frame.vehicles for frame in frames]), name, accept)
     lidars = np.array([stored.poses[number].position[:2] for number in numbers])
 
     if not stored.validates:
         text = "the data set has no validation scans: all are used, though the detector may have been trained on them"
         notes = [text, *notes]
     with_return = float(returns.mean()) if len(returns) else None
-    return judged_boxes(boxes, frames, stored.region, lidars, with_return, notes)
+    return judged_boxes(boxes, frames, stored.region, lidars, with_return, notes, warnings)
 
 
 def check_clouds(stored: StoredDataset, name: str) -> None:
@@ -362,7 +399,7 @@ def dataset_result(stored: StoredDataset, name: str, judged: JudgedDetector) -> 
                 "interval_90": intervals(judged.matches, block, stored.about["seed"], recording),
             }
         },
-        "warnings": stored.about["warnings"],
+        "warnings": [*stored.about["warnings"], *judged.warnings],
         "notes": list(judged.notes),
         "versions": stored.about["versions"],
     }

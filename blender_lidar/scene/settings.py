@@ -17,6 +17,7 @@ from ..names import (
     CASTERS,
     DEFAULT_CELL_M,
     DETAILS,
+    FRAMES,
     ITERATIONS,
     METRIC_NAMES,
     MOST_RANGE_NOISE_M,
@@ -118,7 +119,7 @@ class TrafficSettings:
     height_m: Mapping[str, float] = setting(
         allowed=("car", "van", "truck", "long_truck", "bus", "motorcycle"), above=0.0, high=10.0
     )
-    accept: tuple[str, ...] | None = setting(None, allowed=WARNINGS, option="--accept", metavar="NAME")
+    accept: tuple[str, ...] | None = setting(None, allowed=(*WARNINGS, FRAMES), option="--accept", metavar="NAME")
 
 
 @dataclass(frozen=True, slots=True)
