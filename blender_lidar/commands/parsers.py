@@ -85,8 +85,8 @@ def _init(subparsers) -> None:
     kinds = (
         "format of the recording: ngsim; sumo, the output of --fcd-output, with x and y in metres; table, a CSV with "
         "the columns frame, vehicle_id, class, x_m, y_m, length_m, width_m, height_m, heading_deg and optionally z_m, "
-        "time_s, lane; highd, ind, k733 (INTERACTION too) or tgsim, a data set's own table; auto (default) finds it from "
-        "the file; example, without FILE, takes the shipped sample"
+        "time_s, lane; highd, ind, k733 (INTERACTION too) or tgsim, a data set's own table; auto (default) finds it "
+        "from the file; example, without FILE, takes the shipped sample"
     )
     add("--from", dest="source", nargs="+", metavar=("FORMAT", "FILE"), help=kinds)
     settings = settings_of(TrafficSettings)
