@@ -10,7 +10,7 @@ BARRIERS = ("concrete", "guard_rail")
 KINDS = ("car", "truck or bus", "motorcycle")  # of vehicles, which detectors tell apart; a van is a car
 TRAFFIC_FORMATS = ("auto", "ngsim", "sumo", "table", "highd", "ind", "k733", "tgsim")
 # Of what cannot be true of traffic.
-WARNINGS = ("grade", "sizes", "time-step", "tracks", "headings", "bend", "carriageway", "overlaps")
+WARNINGS = ("grade", "sizes", "time-step", "tracks", "headings", "drift", "bend", "carriageway", "overlaps")
 FRAMES = "frames"  # what is accepted where two inputs do not fit
 SENSOR_SUFFIXES = (".toml", ".csv", ".txt", ".tsv", ".dat", ".json", ".yaml", ".yml")
 CLOUD_SUFFIXES = (".npz", ".pcd", ".ply", ".bin", ".las", ".laz")

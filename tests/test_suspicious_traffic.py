@@ -57,6 +57,18 @@ def both_ways(rows):
     return sorted(ahead + back, key=lambda row: row[0])
 
 
+def drifting(rate_m_s):
+    """Rows of a busy road whose places move across it as time goes by."""
+    rng = np.random.default_rng(4)
+    lane, start = rng.integers(2, size=300), np.sort(rng.uniform(-1800.0, 100.0, 300))
+    rows = []
+    for frame in range(180):
+        for number in np.flatnonzero(np.abs(start + 7.5 * frame) < 100.0).tolist():
+            place = [float(start[number]) + 7.5 * frame, 3.75 + 3.5 * int(lane[number]) + rate_m_s * 0.5 * frame]
+            rows.append([frame, number, "car", *place, 4.4, 1.8, 1.5, 0.0, 0.5 * frame])
+    return rows
+
+
 def jam(ahead=0.0):
     """Rows of a dense jam of cars and trucks; places so many lengths ahead of the boxes' middles."""
     rng = np.random.default_rng(1)
@@ -185,6 +197,11 @@ STOPS = {  # by name: the rows, the scene, and what the line says
         both_ways(bend(100.0)),
         {"region": CIRCLE_40, "sensor": {"range_gate_m": 60.0}, "road": {"lanes": 1, "carriageways": 2}},
         r"the road bends by 4\d deg within the region, [678]\.\d m off a straight line.*--accept bend",
+    ),
+    "a drone that drifts": (
+        drifting(0.05),
+        WIDE,
+        r"all lanes move to the left of x by (4\.[5-9]|5\.[0-3]) cm/s.*--accept drift",
     ),
     "front bumpers": (jam(0.5), {}, "bumpers and not box centres.*--accept overlaps"),
     "rear bumpers": (jam(-0.5), {}, "bumpers and not box centres.*--accept overlaps"),

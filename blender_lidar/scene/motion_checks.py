@@ -337,6 +337,43 @@ def _there_again(recording: Recording) -> tuple[float, float]:
     return len(later_s) / len(looks), float(np.median(later_s)) if later_s else 0.0
 
 
+_BIN_M, _SMOOTHED_M, _FARTHEST_M = 0.1, 0.3, 1.7  # of densities across the road, and from one to the next
+
+
+def drift(tracks: Tracks, region: Region) -> str | None:
+    """Lanes that move across the road: cross-correlation of where vehicles drive in one window of time and the next.
+
+    A drone's drift of 5 cm/s makes nine lanes of three. A polygon may hold a crossing, and is not looked at.
+    """
+    inside = np.hypot(*(tracks.xy - region.centre_xy).T) <= region.radius_m
+    rows = np.flatnonzero(inside & (np.abs(np.sin(tracks.heading_rad)) <= math.sin(usual.DRIFT_RAD[1])))
+    if region.polygon or not len(rows):
+        return None
+    since, across = tracks.time_s[rows] - tracks.time_s[rows].min(), tracks.xy[rows, 1]
+    window_s = float(np.clip(since.max() / usual.DRIFT_WINDOWS, *usual.DRIFT_WINDOW_S))
+    places = [(since / window_s).astype(int), np.rint((across - across.min()) / _BIN_M).astype(int)]
+    # A vehicle counts once in a window and a bin: one that waits is no lane of its own.
+    once = np.unique(np.column_stack([*places, tracks.vehicle[rows]]), axis=0)
+    vehicles = np.bincount(np.unique(once[:, [0, 2]], axis=0)[:, 0])
+    counts = np.zeros((len(vehicles), places[1].max() + 1))
+    np.add.at(counts, tuple(once[:, :2].T), 1.0)
+    kernel = np.exp(-0.5 * (np.arange(-12, 13) * _BIN_M / _SMOOTHED_M) ** 2)
+    density, moved, most = [np.convolve(one, kernel) for one in counts], [], round(_FARTHEST_M / _BIN_M)
+    for number in np.flatnonzero(np.minimum(vehicles[1:], vehicles[:-1]) >= usual.FEWEST_TOGETHER):
+        alike = np.correlate(density[number + 1], density[number], "full")
+        middle = len(alike) // 2
+        moved.append(_BIN_M * (int(np.argmax(alike[middle - most : middle + most + 1])) - most))
+    if len(moved) < usual.DRIFT_WINDOWS - 2 or abs(sum(moved)) < usual.DRIFTED_M:
+        return None
+    mean, error = float(np.mean(moved)), float(np.std(moved, ddof=1)) / math.sqrt(len(moved))
+    if abs(mean) < usual.DRIFT_ERRORS * max(error, _BIN_M / len(moved)):
+        return None
+    return (
+        f"all lanes move to the {'left' if mean > 0.0 else 'right'} of x by {100.0 * abs(mean) / window_s:.1f} cm/s: a "
+        "camera that drifts? Take the drift out of x and y"
+    )
+
+
 def bend(tracks: Tracks, region: Region) -> str | None:
     """A road that bends within the region: the sagitta of the vehicles' ways, beside a scene's straight lanes.
 

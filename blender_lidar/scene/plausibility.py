@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import InputError
 from ..traffic.vehicles import CLASSES, Recording
 from . import usual
-from .motion_checks import Tracks, bend, headings, jumps, time_step, track_notes
+from .motion_checks import Tracks, bend, drift, headings, jumps, time_step, track_notes
 from .place_checks import Placed, carriageway, grade, known_grades, overlaps, place_notes
 from .scenario import Scenario
 
@@ -167,6 +167,7 @@ _CHECKS: dict[str, Callable[[_Seen], str | None]] = {  # as `names.WARNINGS`: ca
     "time-step": lambda seen: time_step(seen.tracks),
     "tracks": lambda seen: jumps(seen.recording, seen.tracks),
     "headings": lambda seen: headings(seen.tracks, seen.scenario),
+    "drift": lambda seen: drift(seen.tracks, seen.placed.region) if seen.heading_known else None,
     "bend": lambda seen: bend(seen.tracks, seen.placed.region) if seen.heading_known else None,
     "carriageway": lambda seen: carriageway(seen.recording, seen.scenario, seen.placed, seen.heading_known),
     "overlaps": lambda seen: overlaps(seen.recording),
