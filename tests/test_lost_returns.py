@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from blender_lidar.casting import caster_class
+from blender_lidar.casting import CASTERS, caster_class, is_available
 from blender_lidar.casting.protocol import StandingScenery
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
@@ -282,3 +283,24 @@ def test_mountings_together_and_one_by_one_see_the_same():
     together, alone = seen(WEAK, poses=poses), [seen(WEAK, poses=[pose]) for pose in poses]
     np.testing.assert_array_equal(together.points, np.concatenate([each.points for each in alone]))
     np.testing.assert_array_equal(together.occupancy, np.concatenate([each.occupancy for each in alone]))
+
+
+# --- a horizontal field of view ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sector", [(-60.0, 60.0), (10.0, 200.0), (-350.0, -345.0)])
+@pytest.mark.parametrize("imperfections", [PERFECT, WEAK, Imperfections(0.02, 0.2, glass_dropout=0.5, seed=3)])
+def test_a_sensor_with_a_field_of_view_has_the_returns_of_a_full_turn_within_it(monkeypatch, sector, imperfections):
+    whole = cloud_of(imperfections)
+    all_points = seen(imperfections).points
+    limited = replace(LATTICE, model=replace(LATTICE.model, azimuth_deg=sector))
+    monkeypatch.setattr("tests.test_lost_returns.LATTICE", limited)
+    low, high = np.radians(sector)
+    within = (whole.azimuth_rad - low) % (2.0 * math.pi) <= high - low
+    assert 0.0 < within.mean() < 1.0
+    assert_equal(cloud_of(imperfections), whole, within)
+    row = np.searchsorted(TRAFFIC.vehicle_id, whole.vehicle_id[within & (whole.vehicle_id >= 0)])
+    for caster in filter(is_available, CASTERS):
+        points = seen(imperfections, caster=caster).points
+        np.testing.assert_array_equal(points[0], np.bincount(row, minlength=len(TRAFFIC)))
+        assert (points <= all_points).all()

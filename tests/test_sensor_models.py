@@ -524,6 +524,10 @@ BAD_TOML = {
     "beams no list": ("beams = 3", "OWN:beams: is 3; allowed: a list"),
     "a beam no list": ("beams = [1, 2]", "OWN:beams: 1, where [ring"),
     "a beam too short": ("beams = [[0]]", "OWN:beams[0] elevation_deg: is missing"),
+    "a field of view turned round": (
+        "azimuth_deg = [60, -60]\n" + THREE_BEAMS,
+        "OWN:azimuth_deg: is [60.0, -60.0]; allowed: [from, to] clockwise",
+    ),
     "standing still": ("rotation_hz = [0]\n" + THREE_BEAMS, "OWN:rotation_hz: is 0; allowed: 0.01 to "),
     "no block time": ("block_time_us = 0\n" + THREE_BEAMS, "OWN:block_time_us: is 0; allowed: 0.01 to "),
     "block longer than the turn": ("block_time_us = 1e6\n" + THREE_BEAMS, "OWN:block_time_us: 1e+06 us at 10 Hz"),

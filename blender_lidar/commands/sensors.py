@@ -64,10 +64,16 @@ def _summary(model: LidarModel) -> dict[str, Any]:
         "elevation_max_deg": elevation[-1],
         "default_rotation_hz": model.default_rotation_hz,
         "columns": model.columns(),
-        "points_per_second": round(model.rings * model.columns() * model.default_rotation_hz),
+        "points_per_second": round(model.rings * model.columns() * model.default_rotation_hz * _seen_share(model)),
         "range_min_m": model.range_min_m,
         "range_max_m": model.range_max_m,
     }
+
+
+def _seen_share(model: LidarModel) -> float:
+    """Share of a turn that its horizontal field of view is."""
+    low, high = model.azimuth_deg or (0.0, 360.0)
+    return (high - low) / 360.0
 
 
 def _facts(model: LidarModel) -> dict[str, Any]:
@@ -82,6 +88,7 @@ def _facts(model: LidarModel) -> dict[str, Any]:
         "columns_by_rotation_hz": {f"{rate:g}": model.columns(rate) for rate in model.rotation_hz},
         "columns_a_turn": list(model.columns_a_turn),
         "block_time_us": round(model.block_time_us, 6),
+        "azimuth_deg": model.azimuth_deg,
         "range_noise_m": model.range_noise_m,
         "range_at_10_percent_m": model.range_at_10_percent_m,
         "notes": list(model.notes),
@@ -126,6 +133,7 @@ def _portrait(model: LidarModel) -> str:
     values = {
         "also called": ", ".join(model.aliases),
         "rings": f"{model.rings}, {of['elevation_min_deg']:+.4g} to {of['elevation_max_deg']:+.4g} degrees",
+        "field of view": "{:g} to {:g} degrees, clockwise".format(*model.azimuth_deg) if model.azimuth_deg else "",
         "columns a turn": f"{columns} ({usual})",
         "points a second": f"{of['points_per_second']:,} at {default}, one return per beam",
         "column every": f"{model.block_time_us:g} us" + (" at least" if model.columns_a_turn else ""),

@@ -89,6 +89,15 @@ class BeamLattice:
         """Elevation of each ring, (rings,) [rad], rising."""
         return self.model.elevation_rad
 
+    @property
+    def outside(self) -> np.ndarray | None:
+        """Which beams point outside the sensor's horizontal field of view, (rings * columns,); None in a full turn."""
+        if self.model.azimuth_deg is None:
+            return None
+        low, high = np.radians(self.model.azimuth_deg)
+        azimuth = self.azimuth_rad(np.arange(self.rings)[:, None], np.arange(self.columns))
+        return ((azimuth - low) % TURN_RAD > high - low).ravel()
+
     def column(self, ring: np.ndarray | int, slot: np.ndarray | int) -> np.ndarray:
         """Firing column of beams, in [0, columns); `ring` and `slot` broadcast."""
         return (slot - self.shift[ring]) % self.columns

@@ -55,6 +55,8 @@ class Datasheet:
         Standard deviation of a measured range [m].
     range_at_10_percent_m : float or None
         Farthest range at which it sees a target of 10 % reflectivity [m]; None where no source gives it.
+    azimuth_deg : (float, float) or None
+        Horizontal field of view, clockwise from zero azimuth seen from above [degrees]; None for a full turn.
     assumed : tuple of str
         Keys that its file leaves out and of which something is assumed; those of its beams too.
     notes : tuple of str
@@ -75,6 +77,7 @@ class Datasheet:
     range_max_m: float = setting(200.0, high=1e5)
     range_noise_m: float = setting(0.02, low=0.0, high=1e3)
     range_at_10_percent_m: float | None = setting(None, low=STATED_RANGE_LIMITS_M[0], high=STATED_RANGE_LIMITS_M[1])
+    azimuth_deg: tuple[float, float] | None = setting(None, low=-360.0, high=360.0)
     assumed: tuple[str, ...] = field(default=(), kw_only=True)
     notes: tuple[str, ...] = field(default=(), kw_only=True)
 
@@ -130,6 +133,9 @@ def _checked_settings(table: dict[str, Any], path: Path) -> dict[str, Any]:
     low, high = found["range_min_m"], found["range_max_m"]
     if not low < high:
         raise InputError(f"{path}:range_max_m: is {high:g}; allowed: more than range_min_m, {low:g}")
+    sector = found["azimuth_deg"]
+    if sector and not 0.0 < sector[1] - sector[0] <= 360.0:
+        raise InputError(f"{path}:azimuth_deg: is {list(sector)}; allowed: [from, to] clockwise, such as [-60, 60]")
     rates, default = found["rotation_hz"], found["default_rotation_hz"]
     if default is None:
         found["default_rotation_hz"] = 10.0 if 10.0 in rates else rates[0]

@@ -110,6 +110,7 @@ class Imperfections:
 
 
 PERFECT = Imperfections()
+_LEAST_LOSS = np.float32(1e-30)  # a probability, by which a chance below 0 is lost and no other one
 
 
 class MeasurementModel(NamedTuple):
@@ -146,6 +147,12 @@ class MeasurementModel(NamedTuple):
     def asks_for_surface(self) -> bool:
         """Whether it matters what returns come from: `glass`, `reflectivity` and `cosine` are needed then."""
         return self.glass_loss > self.loss or self.range_at_10_percent_m < math.inf
+
+    def without(self, lost: np.ndarray) -> MeasurementModel:
+        """The same where some beams (n,) bool return nothing, as outside a sensor's horizontal field of view."""
+        chance = self.chance if len(self.chance) else np.ones(len(lost), dtype=np.float32)
+        loss, glass_loss = np.maximum([self.loss, self.glass_loss], _LEAST_LOSS)
+        return self._replace(chance=np.where(lost, np.float32(-1.0), chance), loss=loss, glass_loss=glass_loss)
 
     def measured(
         self,

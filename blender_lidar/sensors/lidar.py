@@ -39,4 +39,5 @@ class Lidar:
     def measurement(self, frame: int) -> MeasurementModel:
         """What the beams of one frame draw, and so measure of what they meet."""
         own = (zlib.crc32(self.name.encode()),) if self.name else ()
-        return self.imperfections.measurement(self.lattice, frame, self.min_range_m, self.max_range_m, own)
+        model = self.imperfections.measurement(self.lattice, frame, self.min_range_m, self.max_range_m, own)
+        return model if (outside := self.lattice.outside) is None else model.without(outside)
