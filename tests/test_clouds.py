@@ -69,6 +69,8 @@ def test_npz_holds_the_columns_and_units_of_the_contract(tmp_path):
 @pytest.mark.parametrize("suffix", [*SUFFIXES, *map(str.upper, SUFFIXES)])
 @pytest.mark.parametrize("cloud", [CLOUD, EMPTY], ids=["filled", "empty"])
 def test_points_and_vehicles_are_read_back(tmp_path, suffix, cloud):
+    if needed := {".las": "laspy", ".laz": "laspy", ".ply": "plyfile"}.get(suffix.lower()):
+        pytest.importorskip(needed)
     path = tmp_path / f"cloud{suffix}"
     write_cloud(path, cloud, HEADER)
     of_kitti, of_las = suffix.lower() == ".bin", suffix.lower() in (".las", ".laz")
@@ -320,6 +322,8 @@ DAMAGED_PCD = {
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("name", DAMAGED_PCD)
 def test_a_damaged_pcd_file_is_refused_in_one_line(tmp_path, name):
+    if name == "compressed":
+        pytest.importorskip("lzf")
     path = tmp_path / "cloud.pcd"
     path.write_bytes(DAMAGED_PCD[name])
     assert refusal(path)

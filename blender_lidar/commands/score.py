@@ -143,7 +143,7 @@ def _rows(table):
 
 def _print_json(table, points, metrics, warned):
     scores = {
-        "warnings": warned,
+        **({"warnings": warned} if warned else {}),
         "points": points,
         "entropy_bits_per_vehicle": float(table["entropy_bits"].mean()),
         "detectable_share": float(table["detectable"].mean()),
