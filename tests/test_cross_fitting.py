@@ -77,7 +77,7 @@ def test_every_block_judges_what_was_chosen_without_it(tmp_path, capsys, monkeyp
     assert sum(one["boxes"] for one in result["groups"] if one["by"] == "class") == crossed["boxes"]
     said = " ".join(out.split())
     assert "on traffic left out in turn (" in said
-    assert "each block has judged that mounting, of all that were tried, which is best on the other blocks" in said
+    assert "each block has judged the mounting that is best on the other blocks (cross-fitting)" in said
     assert f"Each block of time judged without it, {crossed['blocks']} blocks" in said
 
 

@@ -148,7 +148,7 @@ def test_what_cannot_be_true_of_a_table_stops_with_its_name_and_what_is_probably
     scene = scene_of(tmp_path, rows)
     line = refused(capsys, tmp_path, "optimise", scene, "--out", tmp_path / "run")
     assert meant in line
-    assert line.endswith(f"if it is right, go on with --accept {name}")
+    assert line.endswith(f"if traffic and scene are right as they are, go on with --accept {name}")
     accepted = list(dict.fromkeys([name, "carriageway"]))  # what was turned for a case lies across the road too
     warnings = read_recording(load_scenario(write_scene(tmp_path, {"traffic": {"accept": accepted}}))).report.warnings
     assert warnings[0][0] == name

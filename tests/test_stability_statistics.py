@@ -258,7 +258,7 @@ def test_several_draws_are_judged_by_their_mean():
     alone = [found([draw]).numbers for draw in draws]
     for name in ("loss", "objective_lost", "detectable_share_lost"):
         assert finding.numbers[name] == pytest.approx(np.mean([one[name] for one in alone]))
-    assert finding.text.endswith("best at 4.00 m, 5 to 10 deg")
+    assert finding.text.endswith("rival at 4.00 m, 5 to 10 deg")
     assert finding.verdict == FAILS
     few = ChangeDraw(1, True, noisy((0.0, 0.9, 1.0), 2, 1, 0.01))
     assert (found([few]).verdict, found([few]).numbers["loss_interval_90"]) == (UNDECIDED, None)

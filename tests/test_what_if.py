@@ -149,17 +149,18 @@ def text_of(after=0.67, before=0.99, **repair):
 
 
 def test_the_line_names_the_lane_that_is_lost_and_what_may_repair_it():
-    start = "If every car and van of the nearest lane (lane 1) were a lorry, 67 of 100 boxes would be detectable "
-    start += "instead of 99 of 100 boxes, in 20 of the frames that judge; in lane 2, 52 % instead of 98 %"
-    assert text_of() == f"{start}. A mounting at 6.00 m and 28° may bring it back (about 98 % in these frames)"
-    assert "A mounting at 6.00 m, above the allowed heights, and 28° may" in text_of(within_bounds=False)
+    start = "If every car and van of the nearest lane (lane 1) were a lorry, of all vehicles 67 of 100 boxes would be "
+    start += "detectable instead of 99 of 100 boxes, in 20 frames; of the vehicles in lane 2 then 52 % instead of 98 %"
+    seen = "about 98 % in these frames"
+    assert text_of() == f"{start}. With these lorries a mounting at 6.00 m with a tilt of 28° may see {seen}"
+    assert "at 6.00 m (above the allowed heights) with a tilt of 28° may see" in text_of(within_bounds=False)
     lost = text_of(repairs=False, detectable_share=0.9, height_m=11.5, other_side=0.97)
     assert lost.endswith(
-        ". No height up to 12 m brings it back (at best about 90 % in these frames, at 11.50 m and 28°); the same "
-        "mounting on the other side of the road would see about 97 %"
+        ". With these lorries no height up to 12 m sees as many as recorded: at best about 90 % in these frames, at "
+        "11.50 m with a tilt of 28°; this mounting on the other side of the road would see about 97 %"
     )
     assert "other side" not in text_of(other_side=0.68)
-    assert "bring" not in text_of(after=0.98)
+    assert "With these lorries" not in text_of(after=0.98)
 
 
 def test_where_the_height_lies_on_its_bound_the_next_metre_is_told_on_terminal_and_sheet(tmp_path, capsys, monkeypatch):

@@ -35,8 +35,8 @@ _TILTS = 26  # of a grid over the searched tilts: whole degrees over the paper's
 _AS_GOOD = "~"
 _HOW_TO_READ = (
     "Each cell: the detectable share of the boxes that judge with its 90 % interval, and the best tilt, which the "
-    f"searched frames have chosen. {_AS_GOOD} marks what is not shown to be worse than the best cell, the one that is "
-    "best on the searched frames: the 90 % interval of the difference reaches 0."
+    f"searched frames have chosen. {_AS_GOOD} marks no clear difference from the cell that is best on the searched "
+    "frames: the 90 % interval of the difference holds 0 or lies above; with little traffic it may hide a real one."
 )
 
 

@@ -97,25 +97,28 @@ def lorries_text(result: Mapping) -> str:
         return ""
     after, before = map(_share_with_count, (worst, whole))
     instead = "as recorded" if after == before else f"instead of {before}"
-    text = f"If every car and van of {worst['lanes']} were a lorry, {after} would be detectable {instead}, in "
-    text += f"{other['frames']} of the frames that judge"
+    text = f"If every car and van of {worst['lanes']} were a lorry, of all vehicles {after} would be detectable "
+    text += f"{instead}, in {counted(other['frames'], 'held-out frame' if result.get('holdout') else 'frame')}"
     told = known_lanes(whole).keys() & known_lanes(worst).keys()
     lost = {name: known_lanes(whole)[name] - known_lanes(worst)[name] for name in sorted(told)}
     if lost and max(lost.values()) > 0.0:
         lane = max(lost, key=lost.get)
         shares = (f"{100 * known_lanes(row)[lane]:.0f}" for row in (worst, whole))
-        text += "; in {}, {} % instead of {} %".format(lane, *shares)
+        text += "; of the vehicles in {} then {} % instead of {} %".format(lane, *shares)
     if repair is None:
         return text
     seen = f"about {100 * repair['detectable_share']:.0f} % in these frames"
-    height = f"{repair['height_m']:.2f} m{'' if repair['within_bounds'] else ', above the allowed heights,'}"
-    place = f"{height} and {repair['tilt_deg']:.0f}°"
+    beyond = "" if repair["within_bounds"] else " (above the allowed heights)"
+    place = f"{repair['height_m']:.2f} m{beyond} with a tilt of {repair['tilt_deg']:.0f}°"
     if repair["repairs"]:
-        text += f". A mounting at {place} may bring it back ({seen})"
+        text += f". With these lorries a mounting at {place} may see {seen}"
     else:
-        text += f". No height up to {repair['up_to_m']:g} m brings it back (at best {seen}, at {place})"
+        text += (
+            f". With these lorries no height up to {repair['up_to_m']:g} m sees as many as recorded: at best {seen}, "
+        )
+        text += f"at {place}"
     if (other_side := repair["other_side"]) is not None and other_side > worst["detectable_share"] + REPAIRED:
-        text += f"; the same mounting on the other side of the road would see about {100 * other_side:.0f} %"
+        text += f"; this mounting on the other side of the road would see about {100 * other_side:.0f} %"
     return text
 
 
@@ -150,9 +153,9 @@ def crossed_text(result: Mapping) -> str:
     if not result.get("cross_fitted"):
         return ""
     return (
-        "fewer than six blocks of time are held out, so each block has judged that mounting, of all that were tried, "
-        "which is best on the other blocks (cross-fitting): the figures are those of this way of choosing; the "
-        "mounting told is the best on all searched blocks"
+        "too few blocks of time (under six) are held out for a check of their own, so each block has judged the "
+        "mounting that is best on the other blocks (cross-fitting): the figures are those of this procedure, and the "
+        "mounting above, the best on all searched blocks, was not checked itself"
     )
 
 
@@ -310,7 +313,8 @@ def optimum_text(result: Mapping) -> str:
         among = f", among the {spread['mountings']:,} mountings that were tried: wider where these lie far apart"
     *others, last = places
     listed = f"{', '.join(others)} and {last}" if others else last
-    return f"other traffic of this kind would put the best {listed} (90 % of resampled blocks of time{among})"
+    sure = "90 % of resamplings of its blocks of time"
+    return f"other traffic of this kind would put the best {listed} ({sure}{among}; this is no installation tolerance)"
 
 
 def _between(low, high, digits):

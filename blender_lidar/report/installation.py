@@ -120,7 +120,8 @@ def _lean(at):
     """How far and which way the sensor leans off the plumb line: beams on that side look down."""
     if at["leans"] is None:
         return "none: the sensor stands upright"
-    return f"{at['lean_deg']:.1f} deg down {at['leans']}, bearing {at['lean_bearing_deg']:.0f} deg"
+    bearing = f"bearing {at['lean_bearing_deg']:.0f} deg from the recording's +y"
+    return f"{at['lean_deg']:.1f} deg down {at['leans']}, {bearing}"
 
 
 def _bearing(site, axis, ahead_rad, travel):

@@ -153,8 +153,8 @@ def _head(result: Mapping) -> list[str]:
         f"{result['caster']}, detail {result['detail']}",
         f"Mounting, {origin}: {place}; {metric.in_unit('objective')} per vehicle {best}, baseline {base}",
         f"Under each change the best height and tilt are searched again on {result['varied_frames']} of the searched "
-        "frames, with the other coordinates fixed: that is the rival. A loss is what the mounting lacks to it, on the "
-        f"{result['judged_frames']} {_JUDGED[result['judged_on']]}, with its 90 % interval",
+        "frames, with the other coordinates fixed: that is the rival. A loss is its value minus the mounting's, "
+        f"on the {result['judged_frames']} {_JUDGED[result['judged_on']]}, with its 90 % interval",
         VERDICT_RULE,
     ]
 

@@ -393,7 +393,7 @@ def _doubt(result):
     if ends is None:
         return "Too few blocks of time are held out for an interval"
     if ends[1] < 0.0 or _gain(found, base) < 0.0 or (shares and shares[1] < 0.0):
-        return f"{on} does not confirm the search"
+        return f"{on} does not confirm the search: there the mounting does worse than the baseline"
     if ends[0] <= 0.0:
         return f"{on} does not show that this gains anything (the interval of the gain holds 0)"
     if not shares or shares[0] <= 0.0:
@@ -401,7 +401,7 @@ def _doubt(result):
     if found["blocks"] < FEW_BLOCKS:
         return f"{on} is only {counted(found['blocks'], 'block')} of time, too few to be sure of an interval"
     if result["holdout"] is None:
-        return "Nothing was held out, so this very mounting has no independent check"
+        return "Nothing was held out, so this mounting itself has no independent check"
     return ""
 
 

@@ -53,7 +53,7 @@ def assumptions(site: Site, table: Mapping[str, np.ndarray]) -> list[str]:
     beyond = np.max([table[view] for view in ("p_top", "p_side", "p_front")], axis=0) > _PEAK
     if beyond.mean() >= _TOLD and site.scoring.metric == PE_VGOP.name:
         boxes = f"{counted(int(beyond.sum()), 'box')} of {len(beyond):,} ({100 * beyond.mean():.0f} %)"
-        found.append(f"In {boxes} a view is fuller than 1/e: there PE-VGOP scores still more points lower")
+        found.append(f"In {boxes} the occupancy of a view is above 1/e: beyond that, more points lower the PE-VGOP")
     return found
 
 

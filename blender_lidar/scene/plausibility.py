@@ -61,7 +61,9 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
             continue  # they follow from a warning that is there already
         text = check(seen)
         if text and name not in (scenario.traffic.accept or ()):
-            raise InputError(f"{recording.source}: {text}; if it is right, go on with --accept {name}")
+            raise InputError(
+                f"{recording.source}: {text}; if traffic and scene are right as they are, go on with --accept {name}"
+            )
         if text:
             seen.warnings[name] = text
     notes = [*recording.report.notes, *_size_notes(seen), *track_notes(recording, seen.tracks)]

@@ -37,11 +37,11 @@ VERDICTS = (STABLE, AT_MOST_FRAGILE, FRAGILE, AT_LEAST_FRAGILE, FAILS, UNDECIDED
 SHARE_LIMITS = (0.01, 0.05)  # of the detectable share: what is lost at most, if stable and if fragile
 REAL_GAIN = 2.0  # half-widths of its 90 % interval
 VERDICT_RULE = (
-    "A verdict tells whether another mounting would see more under the change, not what the change costs all of them: "
-    f"stable, the mounting loses at most {100 * SHARE_LIMITS[0]:g} percentage point of detectable share to its rival; "
-    f"fragile, at most {100 * SHARE_LIMITS[1]:g}; fails, more. The 90 % interval of the loss carries it: where that "
-    "reaches over a limit both are told, and over both, or without an interval, it is undecided: there is too little "
-    "traffic. The interval reaches up to what is lost to any mounting that resampled traffic may prefer. The gain over "
+    "A verdict compares the mounting with its rival under the same change: even a stable one may see much less than "
+    f"without the change. Stable: it loses at most {100 * SHARE_LIMITS[0]:g} percentage point of detectable share to "
+    f"the rival. Fragile: at most {100 * SHARE_LIMITS[1]:g}. Fails: more. Where the 90 % interval of a loss crosses a "
+    "limit two verdicts are told; where it crosses both, or there is none, it is undecided: too little traffic. The "
+    "interval reaches up to what is lost to any mounting that resampled traffic may prefer. The gain over "
     "the baseline is stable where it is at least twice its noise and more vehicles are detectable, fragile where its "
     "interval leaves out 0. No share is told of a gain that is less than twice its noise"
 )
@@ -372,7 +372,7 @@ def change_finding(
     if not all(draw.chooses for draw in draws):
         return Finding(*change, UNDECIDED, "does not choose: it is the same wherever the LiDAR hangs")
     heights, tilts = mountings.points[[draw.best for draw in draws]].T.tolist()
-    more = f"; best at {_range(heights, 2)} m, {_range(tilts, 0)} deg"
+    more = f"; rival at {_range(heights, 2)} m, {_range(tilts, 0)} deg"
     numbers = {"best_height_m": heights, "best_tilt_deg": tilts}
     return judged_finding(change, [draw.judged for draw in draws], judges, more=more, numbers=numbers)
 
