@@ -69,6 +69,16 @@ def drifting(rate_m_s):
     return rows
 
 
+def with_trailer():
+    """Rows of a tractor and, right behind it, its trailer, as two boxes beside the lanes of `traffic_rows`."""
+    rows = []
+    for frame in range(8):
+        x = -60.0 + 20.0 * frame
+        rows.append([frame, 901, "truck", x, 12.5, 6.0, 2.5, 3.6, 0.0, 2.0 * frame])
+        rows.append([frame, 902, "truck", x - 9.6, 12.5, 13.0, 2.5, 4.0, 0.0, 2.0 * frame])
+    return rows
+
+
 def jam(ahead=0.0):
     """Rows of a dense jam of cars and trucks; places so many lengths ahead of the boxes' middles."""
     rng = np.random.default_rng(1)
@@ -268,6 +278,11 @@ NOTES = {  # by name: the rows, the scene, and what is said
         road_at(33),
         {"traffic": {"heading_deg": 30.0}},
         "at 3 degrees to the road's x axis, 2.1 m across it in 40 m; check [traffic] heading_deg (such as 33)",
+    ),
+    "a trailer as a box of its own": (
+        [*traffic_rows(), *with_trailer()],
+        {"traffic": {"accept": ["overlaps"]}},
+        "1 pair of boxes touch from end to end as they drive: tractors and trailers as two boxes each?",
     ),
     "y mirrored": (
         two_carriageways(mirrored=True),

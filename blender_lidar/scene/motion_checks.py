@@ -251,6 +251,33 @@ def _standing_astray(tracks: Tracks) -> str | None:
 # --- What is suspicious and may be right --------------------------------------------------------------------------
 
 
+def coupled(recording: Recording) -> Iterator[str]:
+    """Articulated lorries as two boxes: pairs that touch from end to end as they drive."""
+    touching: dict[tuple[int, int], list[tuple[int, np.ndarray]]] = {}
+    looked = recording.frames[:: -(-len(recording.frames) // usual.COUPLED_FRAMES)]
+    for at, number in enumerate(looked.tolist()):
+        vehicles = recording.vehicles(number)
+        ahead = vehicles.centre_m[None, :, :2] - vehicles.centre_m[:, None, :2]
+        cos, sin = np.cos(vehicles.heading_rad)[:, None], np.sin(vehicles.heading_rad)[:, None]
+        along, aside = ahead[..., 0] * cos + ahead[..., 1] * sin, ahead[..., 1] * cos - ahead[..., 0] * sin
+        half_m = 0.5 * vehicles.size_m[:, 0]
+        gap = along - half_m[:, None] - half_m
+        found = (along > 0.0) & (np.abs(gap) <= usual.COUPLED_M) & (np.abs(aside) <= usual.COUPLED_M)
+        for one, other in np.argwhere(found).tolist():
+            pair = int(vehicles.vehicle_id[one]), int(vehicles.vehicle_id[other])
+            touching.setdefault(pair, []).append((at, vehicles.centre_m[one, :2]))
+    count = 0
+    for seen in touching.values():
+        (first, start), (last, end) = seen[0], seen[-1]
+        always = len(seen) >= max(usual.FEWEST_TOGETHER, usual.MOST * (last - first + 1))
+        count += always and math.dist(start, end) >= usual.JUMP_M
+    if count:
+        yield (
+            f"{count:,} {'pair' if count == 1 else 'pairs'} of boxes touch from end to end as they drive: tractors and "
+            "trailers as two boxes each? They count as two vehicles; give one box to each"
+        )
+
+
 def track_notes(recording: Recording, tracks: Tracks) -> Iterator[str]:
     """What is suspicious of tracks, as sentences."""
     steps, vehicles, of_row = tracks.steps, tracks.vehicles, tracks.vehicle

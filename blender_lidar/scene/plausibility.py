@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import InputError
 from ..traffic.vehicles import CLASSES, Recording
 from . import usual
-from .motion_checks import Tracks, bend, drift, headings, jumps, time_step, track_notes
+from .motion_checks import Tracks, bend, coupled, drift, headings, jumps, time_step, track_notes
 from .place_checks import Placed, carriageway, grade, known_grades, overlaps, place_notes
 from .scenario import Scenario
 
@@ -66,7 +66,7 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
             )
         if text:
             seen.warnings[name] = text
-    notes = [*recording.report.notes, *_size_notes(seen), *track_notes(recording, seen.tracks)]
+    notes = [*recording.report.notes, *_size_notes(seen), *track_notes(recording, seen.tracks), *coupled(recording)]
     notes += place_notes(recording, scenario, seen.placed, "carriageway" in seen.warnings)
     report = replace(recording.report, warnings=tuple(seen.warnings.items()), notes=tuple(notes))
     return replace(recording, report=report)

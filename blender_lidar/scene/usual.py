@@ -56,6 +56,7 @@ WIDER = 0.08  # of a lane's width: a map's scale is right to 2 %, feet or a proj
 DRIFTED_M = 1.0  # of all lanes across the road: lanes are marked, and vehicles' places in them vary by less together
 DRIFT_WINDOWS, DRIFT_WINDOW_S = 8, (7.5, 15.0)  # in a short recording; their lengths, in which 10 cm/s stay in a lane
 DRIFT_ERRORS = 4.0  # standard errors: none of 24 recordings without drift has as many
+COUPLED_M, COUPLED_FRAMES = 0.5, 100  # off each other end to end, as no two drivers stay; frames that are looked at
 SAGITTA_M = 2.0  # of a bend: more than half a lane, and vehicles are in the lane beside
 GROUND_M, BESIDE_M = 100.0, 40.0  # along the road and across it: how far the ground is looked at for a grade
 GRADE_PERCENT = 1.0  # a metre in a hundred: maps are that good, and it moves a beam's end by a car's height at 150 m
