@@ -93,6 +93,12 @@ def test_what_can_be_inferred_may_be_left_out():
     np.testing.assert_allclose(read_table(some).heading_rad, whole.heading_rad, atol=0.03)
 
 
+def test_one_frame_shows_no_motion_to_take_headings_from():
+    one = {name: column[:3] for name, column in driven(("heading_deg",)).items()}
+    with pytest.raises(InputError, match="has no heading_deg, and one frame shows no motion"):
+        read_table(one)
+
+
 @pytest.mark.parametrize(
     ("left_out", "rename", "message"),
     [

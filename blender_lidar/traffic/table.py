@@ -130,6 +130,8 @@ def read_table(
     time_s, step_s, of_time = _times(path, columns, time_step_s)
     plane = placing.points(np.column_stack([columns["x_m"], columns["y_m"]]))
     heading, held = _headings(columns, time_s, plane, placing)
+    if held is not None and len(np.unique(columns["frame"])) == 1:
+        raise InputError(f"{path}: has no heading_deg, and one frame shows no motion to take it from")
     if held is not None:
         assumed.append("Headings: those of motion, as the table has none")
     return Recording.from_rows(
