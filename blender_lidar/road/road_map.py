@@ -9,6 +9,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from ..names import SIDES
+
 _ON_EDGE_M = 1e-9  # what lies this near to an edge lies on it
 _BESIDE_M = 0.01  # far enough from an edge to lie on one side of it, across the gaps between the lanes of a bend
 
@@ -37,6 +39,51 @@ class Located(NamedTuple):
     s_m: np.ndarray
     t_m: np.ndarray
     heading_rad: np.ndarray
+
+
+class Lane(NamedTuple):
+    """What a map says of a lane besides where it lies.
+
+    Attributes
+    ----------
+    name : str
+        As its source calls it.
+    road : str
+        The road in one direction of travel that it belongs to: SUMO's edge.
+    junction : str
+        The junction that it crosses; nothing where it belongs to a road between junctions.
+    leads_to : tuple of int
+        Rows of the lanes into which it leads.
+    use : str
+        Who travels on it: one of `USES`.
+    """
+
+    name: str
+    road: str
+    junction: str = ""
+    leads_to: tuple[int, ...] = ()
+    use: str = "vehicles"
+
+
+USES = ("vehicles", "bicycles", "pedestrians")
+
+
+class Junction(NamedTuple):
+    """Where roads meet.
+
+    Attributes
+    ----------
+    name : str
+        As its source calls it.
+    outline_m : ndarray, (k, 2)
+        Corners of its area [m].
+    signalised : bool or None
+        Whether signals rule it; None where the map does not say it.
+    """
+
+    name: str
+    outline_m: np.ndarray
+    signalised: bool | None = None
 
 
 class Surface(Protocol):
@@ -75,6 +122,14 @@ class RoadMap:
         The vertical: masts are plumb where the site frame follows a slope.
     endless : bool
         Whether each lane goes on beyond both ends of its centre line.
+    widths_m : tuple of ndarray, (k,) each
+        Width of each lane at the points of its centre line, where these differ [m]; `width_m` is then the largest.
+    lanes : tuple of Lane, (l,)
+        What a map says of each lane; nothing of a straight road.
+    junctions : tuple of Junction
+        Where roads meet; their areas are road too.
+    drives_on : str
+        The side of the road on which vehicles drive.
     """
 
     points_m: tuple[np.ndarray, ...]
@@ -85,6 +140,10 @@ class RoadMap:
     surface: Surface
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
     endless: bool = False
+    widths_m: tuple[np.ndarray, ...] = ()
+    lanes: tuple[Lane, ...] = ()
+    junctions: tuple[Junction, ...] = ()
+    drives_on: str = SIDES[0]
 
     def __len__(self) -> int:
         return len(self.points_m)
