@@ -465,7 +465,7 @@ def test_both_cameras_look_at_the_road(scene, pose):
             assert looks[2] < 0.0  # and down
 
 
-CROWN_ALONE = road_surface(road_map(StraightRoad(crown_percent=2.0)), (-50.0, 50.0))
+CROWN_ALONE = road_surface(road_map(StraightRoad(crown_percent=2.0)), (0.0, 0.0), 50.0)
 
 
 @pytest.mark.parametrize("nothing", [None, CROWN_ALONE], ids=["no scenery", "a crown alone"])

@@ -113,11 +113,11 @@ def test_a_crown_rises_to_the_middle_and_its_triangles_lie_on_it():
     road = StraightRoad(setback_m=2.0, lanes=4, lane_width_m=3.0, crown_percent=2.5)
     height = road.surface.height(np.array([[0.0, 0.0], [0.0, 2.0], [9.0, 8.0], [0.0, 11.0], [0.0, 14.0], [0.0, 99.0]]))
     np.testing.assert_allclose(height, [0.0, 0.0, 0.15, 0.075, 0.0, 0.0], atol=1e-15)
-    corners = road.surface.triangles((-5.0, 5.0))
+    corners = road.surface.triangles((0.0, 0.0), 5.0)
     np.testing.assert_allclose(corners[..., 2], road.surface.height(corners.reshape(-1, 3)).reshape(4, 3), atol=1e-15)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (normal[:, 2] > 0.0).all()
-    assert len(FLAT.triangles((-5.0, 5.0))) == 0
+    assert len(FLAT.triangles((0.0, 0.0), 5.0)) == 0
 
 
 def test_only_a_straight_road_without_ends_has_an_axis():

@@ -101,7 +101,7 @@ def _slopes(site):
             "and lean, yaw and falls are against the vertical, not the road",
         ]
     if road.crown_percent:
-        height = float(road.surface.triangles((0.0, 1.0))[..., 2].max())
+        height = float(road.surface.triangles((0.0, 0.0), 1.0)[..., 2].max())
         lines.append(f"The road's surface is that of the carriageway's edges; its middle is {height:.2f} m higher")
     return [f"             {line}" for line in lines]
 

@@ -11,7 +11,7 @@ import numpy as np
 _CELL_M = 2.0  # of the height field's grid
 _MOST_CELLS = 128  # on a side: over 200 m a crest of 136 m radius is then off by 9 mm
 _LEVEL_M = 1e-3  # heights this near to each other are one
-_PAIRS = 2**20  # of places and segments at a time
+_PAIRS = 2**17  # of places and segments at a time
 _ALONG_M = 2.0  # less than the width of any road that another may cross
 _BRIDGE_M = 3.0
 
@@ -55,11 +55,11 @@ class MappedSurface:
 
     def feet(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances of places (n, 2) from all segments [m] and the heights of their feet on them [m], (n, m) each."""
-        step = self.end_m - self.start_m
-        off = xy[:, None] - self.start_m[:, :2]
-        part = ((off * step[:, :2]).sum(axis=-1) / np.square(step[:, :2]).sum(axis=-1)).clip(0.0, 1.0)
-        off -= part[..., None] * step[:, :2]
-        return np.hypot(off[..., 0], off[..., 1]), self.start_m[:, 2] + part * step[:, 2]
+        x, y, z = self.start_m.T
+        dx, dy, dz = (self.end_m - self.start_m).T
+        off_x, off_y = xy[:, :1] - x, xy[:, 1:] - y
+        part = ((off_x * dx + off_y * dy) / (dx * dx + dy * dy)).clip(0.0, 1.0)
+        return np.hypot(off_x - part * dx, off_y - part * dy), z + part * dz
 
     def triangles(self, centre_m: Sequence[float], reach_m: float) -> np.ndarray:
         """A square of the height field about a place, as triangles (m, 3, 3) that face up; nothing where it is flat."""

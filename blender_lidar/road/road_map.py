@@ -96,8 +96,8 @@ class Surface(Protocol):
     def height(self, xy: np.ndarray) -> np.ndarray:
         """Height above z = 0 at places (n, 2) [m], (n,)."""
 
-    def triangles(self, s_m: tuple[float, float]) -> np.ndarray:
-        """What of it is not the plane z = 0 between two stations [m], as triangles (m, 3, 3) that face up."""
+    def triangles(self, centre_m: Sequence[float], reach_m: float) -> np.ndarray:
+        """What of it is not the plane z = 0 within reach of a place x, y [m], as triangles (m, 3, 3) that face up."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

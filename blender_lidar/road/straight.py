@@ -160,14 +160,14 @@ class CrownedSurface:
         halves = ((right, 0.5 * (left - right)) for right, left in self.edges_y)
         return sum(self.fall * (half - abs(xy[..., 1] - right - half)).clip(0.0) for right, half in halves)
 
-    def triangles(self, s_m: tuple[float, float]) -> np.ndarray:
-        """Both planes of each carriageway between two x [m], (4 or 8, 3, 3); nothing where it is flat."""
+    def triangles(self, centre_m: Sequence[float], reach_m: float) -> np.ndarray:
+        """Both planes of each carriageway within reach along x [m], (4 or 8, 3, 3); nothing where it is flat."""
         import numpy as np
 
-        planes = [np.empty((0, 3, 3))]
+        planes, ends = [np.empty((0, 3, 3))], (centre_m[0] - reach_m, centre_m[0] + reach_m)
         for right, left in self.edges_y if self.fall else ():
             y = np.array([right, 0.5 * (right + left), left])
-            rows = np.stack([np.stack([np.full(3, x), y], axis=1) for x in s_m])
+            rows = np.stack([np.stack([np.full(3, x), y], axis=1) for x in ends])
             rows = np.concatenate([rows, self.height(rows)[..., None]], axis=-1)
             a, b, c, d = rows[0, :-1], rows[1, :-1], rows[1, 1:], rows[0, 1:]
             planes += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]

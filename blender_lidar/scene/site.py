@@ -58,7 +58,7 @@ def read_scenery(scenario: Scenario, reach_m: float, given: Sequence[Mounting] =
     stretch = road.stretch(centre, reach_m)
     beside = clutter(road, world.clutter, world.clutter_seed, stretch, _may_hang(scenario, given))
     if world.ground and not road.surface.is_flat:
-        barriers.append(road_surface(road, stretch))
+        barriers.append(road_surface(road, centre, reach_m))
     return join([*files, *(item.within(centre, reach_m) for item in [*boxes, *barriers, beside])])
 
 

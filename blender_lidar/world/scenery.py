@@ -135,9 +135,9 @@ def box(name: str, centre_m: Sequence[float], size_m: Sequence[float], heading_r
     return structure(name, corners[unit.faces])
 
 
-def road_surface(road: RoadMap, s_m: tuple[float, float]) -> Scenery:
-    """What of a road's surface is not the plane z = 0, between two stations [m]."""
-    corners = road.surface.triangles(s_m)
+def road_surface(road: RoadMap, centre_xy: tuple[float, float], reach_m: float) -> Scenery:
+    """What of a road's surface is not the plane z = 0, within reach of a place [m]."""
+    corners = road.surface.triangles(centre_xy, reach_m)
     return Scenery(corners, np.zeros(len(corners), np.int32), np.full(len(corners), ROAD, np.uint8), (SURFACE,))
 
 
