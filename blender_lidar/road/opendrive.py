@@ -31,7 +31,7 @@ _CHORD_M = 0.01  # edges lie this near to their curves, in plan and height
 _LEAST_STEP_M = 0.25  # a jump of the file is no curve to follow
 _JUST_M = 1e-6  # before the end of a lane section its own records still hold
 _NOTHING_M = 1e-3  # of a width or a length
-_NEGATIVE_M = 0.1  # a width further below 0 is no rounding
+_WIDTHS_M = (-0.1, 1000.0)  # below 0 by rounding; of a lane that is a verge
 _MEET_M = 0.05
 _TILT = 1e-4  # rad or m: what a level cross-section may have by rounding
 _TRAFFIC_LIGHT = "1000001"  # the standard's type of a signal
@@ -219,11 +219,9 @@ def _pieces(road: _Road, shift_m: np.ndarray) -> Iterator[tuple[_Key, _Piece]]:
         edges, across = section.edges(s), section.across(s)
         for lane, edge, (inner, outer) in zip(section.lanes, edges, across, strict=True):
             width = np.sign(lane.number) * (outer - inner)
-            if width.min() < -_NEGATIVE_M:
-                raise InputError(
-                    f"{road.where}: lane {lane.number} is {width.min():.2f} m wide at s {s[width.argmin()]:g}; "
-                    "allowed: 0 or more"
-                )
+            if len(wrong := np.flatnonzero((width < _WIDTHS_M[0]) | (width > _WIDTHS_M[1]))):
+                text = f"lane {lane.number} is {width[wrong[-1]]:.2f} m wide at s {s[wrong[-1]]:g}"
+                raise InputError(f"{road.where}: {text}; allowed: 0 to {_WIDTHS_M[1]:g} m")
             wide = np.flatnonzero(width > _NOTHING_M)
             if lane.use is None or not len(wide):
                 continue

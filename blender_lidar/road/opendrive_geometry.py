@@ -19,6 +19,8 @@ _CURVATURES = {"line": (), "arc": ("curvature", "curvature"), "spiral": ("curvSt
 _CURVES = (*_CURVATURES, "poly3", "paramPoly3")
 _GAP_M = 1.0  # that a file may have between its geometries, or between one and its length
 _NO_LENGTH_M = 1e-6
+_LARGEST = 1e9  # sums and squares stay finite
+_MOST_M, _MOST_TURN_RAD = 1e5, 1e3  # of one geometry
 _STEPS = 1024  # in which a cubic's arc length is summed: exact to 0.01 mm on 100 m
 
 Curve = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -30,8 +32,8 @@ def finite(element: Element, key: str, where: str, default: float | None = None)
     if text is None and default is not None:
         return default
     value = number((text or "").strip())
-    if not math.isfinite(value):
-        raise InputError(f"{where}: <{element.tag}> has {key} {shown(text)}; allowed: a finite number")
+    if not abs(value) <= _LARGEST:
+        raise InputError(f"{where}: <{element.tag}> has {key} {shown(text)}; allowed: a number of {_LARGEST:g} at most")
     return value
 
 
@@ -78,6 +80,13 @@ class ReferenceLine:
         keys = ("s", "length", "x", "y", "hdg")
         table = np.array([[finite(element, key, where) for key in keys] for element in elements])
         self.start_m, length, self._turn = table[:, 0], table[:, 1], table[:, 4]
+        if length.max() > _MOST_M:
+            raise InputError(
+                f"{where}: a <geometry> is {length.max():g} m long; allowed: up to {_MOST_M:g} m, in metres"
+            )
+        for s, due in zip(self.start_m, [0.0, *(self.start_m + length)], strict=False):
+            if abs(s - due) > _GAP_M:
+                raise InputError(f"{where}: a <geometry> is at s {s:g}; allowed: {due:g}, where the one before it ends")
         self._place = table[:, 2:4] - shift_m
         self._curves = [_curve(*each, where) for each in zip(elements, length, strict=True)]
         self.end_m = float(self.start_m[-1] + length[-1])
@@ -110,8 +119,10 @@ def _curve(geometry: Element, length: float, where: str) -> Curve:
         raise unknown_name(", ".join(child.tag for child in geometry), _CURVES, "geometry", where)
     if shape.tag in _CURVATURES:
         first, last = [finite(shape, key, where) for key in _CURVATURES[shape.tag]] or (0.0, 0.0)
-        panels = 1 + math.ceil(length * max(abs(first), abs(last)))
-        return partial(_clothoid, first=first, rate=(last - first) / length, panels=panels)
+        turn = length * max(abs(first), abs(last))
+        if turn > _MOST_TURN_RAD:
+            raise InputError(f"{where}: its <{shape.tag}> turns by {turn:g} rad; allowed: up to {_MOST_TURN_RAD:g}")
+        return partial(_clothoid, first=first, rate=(last - first) / length, panels=1 + math.ceil(turn))
     if shape.tag == "poly3":
         u, v = np.array([0.0, 1.0, 0.0, 0.0]), np.array([finite(shape, key, where) for key in "abcd"])
         end = length
