@@ -62,6 +62,7 @@ LIBRARIES = {
     "lzf": ("clouds/files.py",),
     "zstandard": ("world/blender/site.py",),
     "pyarrow": ("traffic/sumo.py",),
+    "sumolib": ("road/sumo_net.py",),
     "matplotlib": ("report/",),
     "tqdm": ("commands/progress.py",),
     "scipy": ("studies/",),

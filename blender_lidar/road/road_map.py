@@ -100,6 +100,24 @@ class Surface(Protocol):
         """What of it is not the plane z = 0 within reach of a place x, y [m], as triangles (m, 3, 3) that face up."""
 
 
+@dataclass(frozen=True, slots=True)
+class Flat:
+    """The plane z = 0."""
+
+    @property
+    def is_flat(self) -> bool:
+        """That it is."""
+        return True
+
+    def height(self, xy: np.ndarray) -> np.ndarray:
+        """Height above z = 0 at places (..., 2) [m], (...,)."""
+        return np.zeros(np.shape(xy)[:-1])
+
+    def triangles(self, s_m: tuple[float, float]) -> np.ndarray:
+        """None, (0, 3, 3)."""
+        return np.zeros((0, 3, 3))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RoadMap:
     """Lanes as centre lines with widths, in the site frame; the same for a straight road and for a net.
