@@ -162,18 +162,24 @@ def _draw_cells(axes: Axes, cells: Cells) -> PolyCollection:
     """Squares shaded by per cent, smaller ones where there are few boxes; none where there is no box."""
     from matplotlib.collections import PolyCollection
 
-    row, column = np.nonzero(cells.boxes)
-    boxes = cells.boxes[row, column]
-    middle = cells.corner_m + cells.side_m * (np.stack([column, row], axis=1) + 0.5)
-    half = 0.5 * cells.side_m * np.where(boxes < FEW_BOXES, _SMALL, 1.0)
-    square = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    held = cells.boxes > 0
+    boxes = cells.boxes[held]
     look = {"cmap": colours(BLIND_COLOURS), "zorder": 1.0, "antialiased": False}
     edges = {"edgecolor": FAINT, "linewidth": np.where(boxes < FEW_BOXES, 0.3, 0.0)}
-    shades = PolyCollection(middle[:, None] + half[:, None, None] * square, **look, **edges)
-    shades.set_array(100.0 * cells.below[row, column] / boxes)
+    shades = PolyCollection(_squares(cells, _SMALL), **look, **edges)
+    shades.set_array(100.0 * cells.below[held] / boxes)
     shades.set_clim(0.0, 100.0)
     axes.add_collection(shades, autolim=False)
     return shades
+
+
+def _squares(cells: Cells, few: float = 1.0) -> np.ndarray:
+    """Corners of the cells that hold boxes, (k, 4, 2) [m]; those of few boxes are smaller by a factor."""
+    row, column = np.nonzero(cells.boxes)
+    middle = cells.corner_m + cells.side_m * (np.stack([column, row], axis=1) + 0.5)
+    half = 0.5 * cells.side_m * np.where(cells.boxes[row, column] < FEW_BOXES, few, 1.0)
+    square = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    return middle[:, None] + half[:, None, None] * square
 
 
 def _outline_zone(axes, zone):
@@ -274,6 +280,7 @@ def plot_reach(path: str | Path, run: RunFolder, road: RoadMap) -> None:
     poles = [(mount["x_m"], mount["y_m"]) for _, mount in mounts]
     window = window_of([footprints(tables[0]), poles], _MARGIN_M)
     by_side = [reaches(table, pole) for table, pole in zip(tables, poles, strict=True)]
+    driven = cells_of(tables[0], _CELL_M)
     title = "How far each mounting reaches"
     with plans(
         path,
@@ -287,7 +294,7 @@ def plot_reach(path: str | Path, run: RunFolder, road: RoadMap) -> None:
         for axes, found, (_, mount), pole in zip(panels, by_side, mounts, poles, strict=True):
             draw_road(axes, road, window, ASPHALT, arrows=not road.endless)
             for one in found:
-                _draw_sector(axes, one, pole)
+                _draw_sector(axes, one, pole, driven)
             _draw_rings(axes, pole, window)
             marker = draw_stands(axes, [_stand(mount)])
         _below_plans(panels, run, road)
@@ -311,16 +318,26 @@ def _reach_text(found: Sequence[Reach]) -> str:
     return f"{text}; in {beyond} of {len(found)} sectors of {360 // SECTORS}° it goes on where the boxes end"
 
 
-def _draw_sector(axes: Axes, one: Reach, xy: tuple[float, float]) -> None:
-    """The part of a sector within reach, and the line where it ends, dashed where only the boxes do."""
+def _draw_sector(axes: Axes, one: Reach, xy: tuple[float, float], driven: Cells) -> None:
+    """The part of a sector within reach, and the line where it ends, dashed where only the boxes do.
+
+    It is cut off where no box was.
+    """
+    from matplotlib.path import Path as Outline
+
     turn = 2.0 * math.pi / SECTORS * (one.sector + np.linspace(0.0, 1.0, 16))
     arc = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     far, look = (one.far_m, _WITHIN) if one.far_m else (one.last_m, _UNSEEN)
     area = np.concatenate([one.near_m * arc, far * arc[::-1]]) + xy
-    axes.fill(*area.T, zorder=1.0, **look)
+    artists = axes.fill(*area.T, zorder=1.0, **look)
     if one.far_m:
         line = (one.far_m * arc + xy).T
-        axes.plot(*line, **{**_OUTLINE, "linestyle": (0, (1, 1)) if one.beyond else "-"})
+        artists += axes.plot(*line, **{**_OUTLINE, "linestyle": (0, (1, 1)) if one.beyond else "-"})
+    squares = Outline.make_compound_path(
+        *(Outline(square, closed=True) for square in np.pad(_squares(driven), ((0, 0), (0, 1), (0, 0))))
+    )
+    for artist in artists:
+        artist.set_clip_path(squares, axes.transData)
 
 
 def _draw_rings(axes: Axes, xy: tuple[float, float], window: np.ndarray) -> None:

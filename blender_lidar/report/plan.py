@@ -240,7 +240,6 @@ def draw_stands(axes: Axes, stands: Sequence[Stand]) -> Line2D:
     places = np.array([stand.xy for stand in stands])
     taken = [(x, y, 1.6, 1.6) for x, y in places * metre]  # middles and half sizes on paper [mm]
     low, high = (np.array(ends) * metre for ends in zip(axes.get_xlim(), axes.get_ylim(), strict=True))
-    low, high = np.array([low[0], high[0]]), np.array([low[1], high[1]])
     for stand, at in zip(stands, places, strict=True):
         marker = mark_sensor(axes, at)
         if stand.facing_rad is not None:
@@ -253,7 +252,8 @@ def draw_stands(axes: Axes, stands: Sequence[Stand]) -> Line2D:
         if not stand.name:
             continue
         half = np.array([0.5 * 1.35 * len(stand.name), 0.5 * _SMALLEST_MM])
-        ways = [np.array(way) * (half + 2.0) for way in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1))]
+        around = (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1)
+        ways = [np.array(way) * (half + gap) for gap in (2.0, 5.0) for way in around]
         clear = [
             way
             for way in ways

@@ -38,8 +38,10 @@ _BESIDE_M = 0.25  # wider than the gaps between the lanes of a map
 _ARROW_M, _BEFORE_END_M = 5.0, 9.0
 
 
-def draw_road(axes: Axes, road: RoadMap, window: np.ndarray, fill: dict = ASPHALT, *, arrows: bool = True) -> None:
-    """Draw the road within a window: areas below all else; edges, lane lines, stop lines and directions above cells.
+def draw_road(
+    axes: Axes, road: RoadMap, window: np.ndarray, fill: dict = ASPHALT, *, arrows: bool = True, over: float = 2.4
+) -> None:
+    """Draw the road within a window: its areas below all else; edges, lane lines, stop lines and directions over cells.
 
     Parameters
     ----------
@@ -52,6 +54,8 @@ def draw_road(axes: Axes, road: RoadMap, window: np.ndarray, fill: dict = ASPHAL
         How areas where vehicles drive look.
     arrows : bool
         Whether arrows show where lanes lead.
+    over : float
+        The zorder of lines.
     """
     from matplotlib.collections import LineCollection, PolyCollection
 
@@ -64,7 +68,7 @@ def draw_road(axes: Axes, road: RoadMap, window: np.ndarray, fill: dict = ASPHAL
     if not len(road):
         return
     for kind, lines in road_lines(road, outlines).items():
-        lines = LineCollection(lines, zorder=2.4, label=kind, **_LINES[kind])
+        lines = LineCollection(lines, zorder=over, label=kind, **_LINES[kind])
         axes.add_collection(lines, autolim=False)
     if arrows:
         for row, _ in outlines:

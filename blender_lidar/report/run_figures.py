@@ -11,7 +11,7 @@ import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..run.folder import RunFolder
-from ..run.vehicle_table import METRIC_VALUE, WEIGHT
+from ..run.vehicle_table import APPROACH, METRIC_VALUE, MOVEMENT, WEIGHT
 from ..run.verdict import REGION_SHARE, ScoreMap, near_best_threshold
 from ..scene.site import Site
 from ..statistics import FEW_VEHICLES
@@ -262,19 +262,16 @@ def plot_other_traffic(path: str | Path, result: Mapping) -> None:
         legend_below(figure, handles, columns=3)
 
 
-_APPROACH, _MOVEMENT = "approach", "movement"  # what the groups of result.json are by
-
-
 def approach_rows(result: Mapping) -> list[Mapping]:
     """Groups of a result by approach, each followed by its movements; none where no vehicle's approach is known.
 
     A movement's name is its approach's, a comma, and where it leads.
     """
     groups = result.get("groups", ())
-    movements = [group for group in groups if group["by"] == _MOVEMENT]
+    movements = [group for group in groups if group["by"] == MOVEMENT]
     rows = []
     for group in groups:
-        if group["by"] == _APPROACH:
+        if group["by"] == APPROACH:
             rows += [group, *(one for one in movements if one["name"].startswith(f"{group['name']}, "))]
     return rows
 
@@ -291,7 +288,7 @@ def plot_by_approach(path: str | Path, result: Mapping) -> None:
     ) as figure:
         axes = figure.subplots()
         for at, row in enumerate(rows):
-            if at and row["by"] == _APPROACH:
+            if at and row["by"] == APPROACH:
                 axes.axhline(at - 0.5, color=FAINT, linewidth=0.8)
             for (key, look), shift in zip(looks.items(), (-0.17, 0.17), strict=True):
                 if row[f"{key}_interval_90"]:
@@ -299,12 +296,12 @@ def plot_by_approach(path: str | Path, result: Mapping) -> None:
                     line = {"color": look["color"], "linestyle": look["linestyle"], "linewidth": 1.4}
                     axes.plot(ends, [at + shift] * 2, clip_on=False, **line)
                 axes.plot(100.0 * row[key], at + shift, clip_on=False, zorder=3, **{**look, "linestyle": "none"})
-        texts = [row["name"] if row["by"] == _APPROACH else row["name"].rpartition(", ")[2] for row in rows]
+        texts = [row["name"] if row["by"] == APPROACH else row["name"].rpartition(", ")[2] for row in rows]
         boxes = [counted(row["boxes"], "box") for row in rows]
         axes.set(xlabel="Detectable share [%]", xlim=(0.0, 100.0), ylim=(len(rows) - 0.5, -0.5))
         axes.set_yticks(range(len(rows)), [f"{text} ({of})" for text, of in zip(texts, boxes, strict=True)])
         for label, row in zip(axes.get_yticklabels(), rows, strict=True):
-            label.set_fontweight("bold" if row["by"] == _APPROACH else "normal")
+            label.set_fontweight("bold" if row["by"] == APPROACH else "normal")
         axes.grid(visible=True, axis="x")
         handles = [Line2D([], [], **{**look, "label": f"{names[key]}, 90 % interval"}) for key, look in looks.items()]
         legend_below(figure, handles, columns=2)

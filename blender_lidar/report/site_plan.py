@@ -93,7 +93,7 @@ def plot_site_plan(recording: Recording, layout: RoadLayout, path: str | Path, a
 
 _WHOLE_MM, _ACROSS_MM, _GAP_MM = 90.0, 24.0, 3.0  # height of the whole plan; width of the panel beside the near one
 _TITLE_MM, _LABELS_MM, _KEY_MM = 6.0, 12.0, 13.0
-_THINNEST = 0.18  # height over width of the whole plan at least
+_THINNEST = 0.12  # height over width of the whole plan at least
 
 
 def road_text(road: StraightRoad) -> str:
@@ -241,6 +241,8 @@ def plot_mapped_plan(
     from matplotlib.patches import Patch
 
     window = window_of([*outlines, *([stand.xy] for stand in poles)], _ROUND_M)
+    width, height = np.ptp(window, axis=0)  # a site that is high shows more beside it
+    window += np.array([[-0.5], [0.5]]) * (max(height / _STEEPEST - width, 0.0), 0.0)
     xy = recording.centre_m[:, :2]
     ways = _quarters(recording.heading_rad, north_name(road) == "N") if ways is None else ways
     shown = ((xy > window[0]) & (xy < window[1])).all(axis=1)
@@ -261,7 +263,7 @@ def plot_mapped_plan(
             axes.fill(*np.asarray(outline).T, **_REGION_LOOK)
         for outline in keep_out:
             axes.fill(*np.asarray(outline, dtype=float).T, **_KEEP_OUT_LOOK)
-        _draw_points(axes, xy[shown], colours, 0.9)
+        _draw_drives(axes, recording.vehicle_id[shown], xy[shown], colours)
         scale_bar(axes)
         north_arrow(axes, bearing_deg, north_name(road))
         dots = {"linestyle": "none", "marker": "o", "markersize": 3.0}
@@ -277,7 +279,21 @@ def plot_mapped_plan(
         figure.legend(handles=handles, loc="outside lower center", ncols=3, handlelength=2.4)
 
 
+_STEEPEST = 1.2  # height over width
+_LONGEST_STEP_M = 30.0  # between boxes of a vehicle; farther ones are not one drive
 _SEEN_THROUGH = {"facecolor": "none", "edgecolor": "none"}
+
+
+def _draw_drives(axes, vehicle_id, xy, colours):
+    """A thin line from each box to the next of its vehicle."""
+    from matplotlib.collections import LineCollection
+
+    order = np.argsort(vehicle_id, kind="stable")  # recordings are in the order of time
+    xy, colours, vehicle = xy[order], colours[order], vehicle_id[order]
+    step = (vehicle[1:] == vehicle[:-1]) & (np.hypot(*np.diff(xy, axis=0).T) <= _LONGEST_STEP_M)
+    lines = np.stack([xy[:-1], xy[1:]], axis=1)[step]
+    look = {"linewidth": 0.4, "alpha": 0.6, "zorder": 1.0}
+    axes.add_collection(LineCollection(lines, colors=colours[1:][step], **look), autolim=False)
 
 
 def _quarters(heading_rad: np.ndarray, named: bool) -> np.ndarray:
