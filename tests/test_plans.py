@@ -242,9 +242,7 @@ def test_cells_count_the_boxes_whose_footprints_overlap_them(seed, side_m):
         for counts, more in ((least, -1e-6), (most, 0.04)):
             u, v = (np.linspace(-one - more, one + more, 2 + int(2.0 * (one + more) / 0.05)) for one in half)
             place = (u[:, None] + 1j * v) * turn + seen["x_m"][number] + 1j * seen["y_m"][number]
-            column, row = (
-                np.floor((of - at) / side_m).astype(int) for of, at in ((place.real, x0), (place.imag, y0))
-            )
+            column, row = (np.floor((of - at) / side_m).astype(int) for of, at in ((place.real, x0), (place.imag, y0)))
             inside = (column >= 0) & (row >= 0) & (row < cells.boxes.shape[0]) & (column < cells.boxes.shape[1])
             assert inside.all() or more > 0.0
             found = np.unique(np.stack([row[inside], column[inside]]), axis=1)

@@ -24,7 +24,7 @@ from .figure import (
     place,
 )
 from .plan import Stand, draw_stands, north_arrow, north_name, plans, scale_bar, window_of
-from .road_plan import ASPHALT, EMPTY, draw_road
+from .road_plan import ASPHALT_LOOK, EMPTY_LOOK, draw_road
 from .summary import leans, mounting_text, run_text, sides
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Seq
     heading = "Where vehicles stay below the threshold", subtitle
     with plans(path, window, _headings(run, found), key_mm, *heading, road=road) as (figure, panels, end):
         for axes, table, (_, mount) in zip(panels, tables, sides(run.result), strict=True):
-            draw_road(axes, road, window, EMPTY, arrows=not road.endless)
+            draw_road(axes, road, window, EMPTY_LOOK, arrows=not road.endless)
             shades = _draw_cells(axes, cells_of(table, side_m))
             marker = draw_stands(axes, [_stand(mount)])
             outlines = [_outline_zone(axes, zone) for zone in zones]
@@ -133,7 +133,7 @@ def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Seq
         figure.colorbar(shades, cax=bar, orientation="horizontal", label="Boxes below the threshold [%]")
         few = {"marker": "s", "markersize": 3.5, "color": "#cc4c02", "linestyle": "none"}
         few = Line2D([], [], label=f"cell of fewer than {FEW_BOXES} boxes", **few)
-        empty = Rectangle((0.0, 0.0), 1.0, 1.0, label="no vehicle was there", **EMPTY)
+        empty = Rectangle((0.0, 0.0), 1.0, 1.0, label="no vehicle was there", **EMPTY_LOOK)
         legend_below(figure, [marker, few, empty, *outlines[:1]], columns=4)
 
 
@@ -292,7 +292,7 @@ def plot_reach(path: str | Path, run: RunFolder, road: RoadMap) -> None:
         road=road,
     ) as (figure, panels, _):
         for axes, found, (_, mount), pole in zip(panels, by_side, mounts, poles, strict=True):
-            draw_road(axes, road, window, ASPHALT, arrows=not road.endless)
+            draw_road(axes, road, window, ASPHALT_LOOK, arrows=not road.endless)
             for one in found:
                 _draw_sector(axes, one, pole, driven)
             _draw_rings(axes, pole, window)

@@ -16,22 +16,22 @@ from .plan import arrow
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-ASPHALT = {"facecolor": "#ededed", "edgecolor": "#ededed", "linewidth": 0.3}
-EMPTY = {"facecolor": "white", "edgecolor": FAINT, "hatch": "//////", "linewidth": 0.0}
+ASPHALT_LOOK = {"facecolor": "#ededed", "edgecolor": "#ededed", "linewidth": 0.3}
+EMPTY_LOOK = {"facecolor": "white", "edgecolor": FAINT, "hatch": "//////", "linewidth": 0.0}
 _OTHERS = {
     "bicycles": {"facecolor": "#f8f8f8", "edgecolor": "#c4c4c4", "hatch": "......", "linewidth": 0.0},
     "pedestrians": {"facecolor": "white", "edgecolor": "#c4c4c4", "hatch": "------", "linewidth": 0.0},
 }
-EDGE = {"color": INK, "linewidth": 1.0}
-LANE_LINE = {"color": INK, "linewidth": 0.5, "linestyle": (0, (6, 4))}
-STOP_LINE = {"color": INK, "linewidth": 2.0}
-ENTRY = {"color": INK, "linewidth": 1.2, "linestyle": (0, (1.2, 0.8))}
+EDGE_LOOK = {"color": INK, "linewidth": 1.0}
+LANE_LINE_LOOK = {"color": INK, "linewidth": 0.5, "linestyle": (0, (6, 4))}
+STOP_LINE_LOOK = {"color": INK, "linewidth": 2.0}
+ENTRY_LOOK = {"color": INK, "linewidth": 1.2, "linestyle": (0, (1.2, 0.8))}
 _LINES = {
-    "edge": EDGE,
-    "centre": {**EDGE, "linewidth": 0.7},
-    "lane": LANE_LINE,
-    "stop line": STOP_LINE,
-    "entry": ENTRY,
+    "edge": EDGE_LOOK,
+    "centre": {**EDGE_LOOK, "linewidth": 0.7},
+    "lane": LANE_LINE_LOOK,
+    "stop line": STOP_LINE_LOOK,
+    "entry": ENTRY_LOOK,
 }
 _STEP_M = 1.0  # along an edge, which may be an edge in part
 _BESIDE_M = 0.25  # wider than the gaps between the lanes of a map
@@ -39,8 +39,8 @@ _ARROW_M, _BEFORE_END_M = 5.0, 9.0
 
 
 def draw_road(
-    axes: Axes, road: RoadMap, window: np.ndarray, fill: dict = ASPHALT, *, arrows: bool = True, over: float = 2.4
-) -> None:
+    axes: Axes, road: RoadMap, window: np.ndarray, fill: dict = ASPHALT_LOOK, *, arrows: bool = True, over: float = 2.4
+) -> set[str]:
     """Draw the road within a window: its areas below all else; edges, lane lines, stop lines and directions over cells.
 
     Parameters
@@ -56,6 +56,11 @@ def draw_road(
         Whether arrows show where lanes lead.
     over : float
         The zorder of lines.
+
+    Returns
+    -------
+    set of str
+        The kinds of lines that are there, as in `road_lines`.
     """
     from matplotlib.collections import LineCollection, PolyCollection
 
@@ -66,14 +71,16 @@ def draw_road(
         if areas:
             axes.add_collection(PolyCollection(areas, zorder=0.3 + 0.01 * (use != "vehicles"), **look), autolim=False)
     if not len(road):
-        return
-    for kind, lines in road_lines(road, outlines).items():
+        return set()
+    drawn = {kind: lines for kind, lines in road_lines(road, outlines).items() if lines}
+    for kind, lines in drawn.items():
         lines = LineCollection(lines, zorder=over, label=kind, **_LINES[kind])
         axes.add_collection(lines, autolim=False)
     if arrows:
         for row, _ in outlines:
             if row >= 0 and (not road.lanes or (not road.lanes[row].junction and road.lanes[row].use != "pedestrians")):
                 _direction_arrow(axes, road, row, window)
+    return set(drawn)
 
 
 def _outlines(road: RoadMap, window: np.ndarray) -> list[tuple[int, np.ndarray]]:

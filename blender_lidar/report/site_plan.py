@@ -28,7 +28,7 @@ from .plan import (
     show,
     window_of,
 )
-from .road_plan import EDGE, ENTRY, LANE_LINE, STOP_LINE, draw_road
+from .road_plan import EDGE_LOOK, ENTRY_LOOK, LANE_LINE_LOOK, STOP_LINE_LOOK, draw_road
 
 _MOST_POINTS = 60_000
 _ROUND_M = 15.0  # shown around the region
@@ -187,7 +187,7 @@ def _handles():
     return [
         Line2D([], [], color=_ALONG, label="driven along the road", **dots),
         Line2D([], [], color=_OTHER, label="driven any other way", **dots),
-        Line2D([], [], label="edges of the road", **EDGE),
+        Line2D([], [], label="edges of the road", **EDGE_LOOK),
         Line2D([], [], label="lane centres", **_CENTRE_LOOK),
         Patch(label="region; an arrow is a direction of travel", **_REGION_LOOK),
         _lidar("LiDAR"),
@@ -258,7 +258,7 @@ def plot_mapped_plan(
         (axes,) = panels
         if image is not None:
             background(axes, *image)
-        draw_road(axes, road, window, **({"fill": _SEEN_THROUGH} if image is not None else {}))
+        drawn = draw_road(axes, road, window, **({"fill": _SEEN_THROUGH} if image is not None else {}))
         for outline in outlines:
             axes.fill(*np.asarray(outline).T, **_REGION_LOOK)
         for outline in keep_out:
@@ -270,9 +270,9 @@ def plot_mapped_plan(
         handles = [Line2D([], [], color=colour_of[name], label=name, **dots) for name in known]
         handles.append(Patch(label="region", **_REGION_LOOK))
         handles += [Patch(label="kept out", **_KEEP_OUT_LOOK)] * bool(keep_out)
-        if road.lanes:
-            lines = {"stop line": STOP_LINE, "entry without signals": ENTRY, "line between lanes": LANE_LINE}
-            handles += [Line2D([], [], label=label, **look) for label, look in lines.items()]
+        lines = {"stop line": ("stop line", STOP_LINE_LOOK), "entry": ("entry without signals", ENTRY_LOOK)}
+        lines["lane"] = "line between lanes", LANE_LINE_LOOK
+        handles += [Line2D([], [], label=label, **look) for kind, (label, look) in lines.items() if kind in drawn]
         if poles:
             draw_stands(axes, poles)
             handles.append(_lidar("pole, and which way it faces"))
