@@ -108,7 +108,7 @@ def test_a_straight_road_has_two_edges_and_a_dashed_line_between_each_two_lanes(
 
 def test_a_road_without_lanes_is_its_area(tmp_path, figures):  # noqa: F811
     class Area:
-        endless, lanes, junctions, axis = False, (), (), None
+        endless, lanes, junctions = False, (), ()
         against = np.zeros(0, dtype=bool)
 
         def __len__(self):

@@ -137,7 +137,7 @@ def show(axes: Axes, window: np.ndarray) -> None:
 
 def axis_labels(road: RoadMap | None, height_mm: float = math.inf) -> tuple[str, str]:
     """What the x and the y of the site frame are called; a panel that is not high has room for little beside it."""
-    if road is None or road.axis is None:
+    if road is None or not road.endless or road.axis is None:
         return "x [m]", "y [m]"
     across = "Across the road, y [m]" if height_mm > _LOWEST_LABELLED_MM else "y [m]"
     return ALONG_LABEL if road.against.any() else TRAVEL_LABEL, across
