@@ -38,6 +38,7 @@ _LINE_MM, _CHARACTER_MM = 3.9, 1.62  # of a heading
 _FOOT_MM = 11.5  # below a panel with labels: ticks, label, north arrow and scale bar
 _TICKS_MM = 4.0  # below one without
 _LABEL_ROW_MM = 8.3  # below a panel
+_IN_A_ROW = 1.25  # panels stand side by side unless they are larger by so much one below the other
 _LOWEST_LABELLED_MM = 34.0  # a panel that has room for more than "y [m]" beside it
 
 
@@ -67,7 +68,7 @@ def plans(
     *,
     road: RoadMap | None = None,
 ) -> Iterator[tuple[Figure, list[Axes], float]]:
-    """A sheet with a panel to scale for each heading: side by side or one below the other, whichever is larger.
+    """A sheet with a panel to scale for each heading: side by side, unless clearly larger one below another.
 
     Parameters
     ----------
@@ -104,7 +105,7 @@ def plans(
     least = _LINE_MM * max(one.count("\n") + 1 for one in headings) + 1.5
     free = HIGHEST_MM - top - number * least - (number - 1) * _TICKS_MM - _FOOT_MM - key_mm
     stacked = fitted_mm(window, ROOM_MM, free / number)
-    in_a_row = number > 1 and beside[0] > stacked[0]
+    in_a_row = number > 1 and _IN_A_ROW * beside[0] > stacked[0]
     width, height = beside if in_a_row else stacked
     wrapped, over = text(width if in_a_row else ROOM_MM)
     step = np.array([width + _GAP_MM, 0.0] if in_a_row else [0.0, over + height + _TICKS_MM])
