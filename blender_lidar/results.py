@@ -155,6 +155,10 @@ class Plots:
         scenario = self.run.site.scenario
         return self._drawn("plot_blind_zones", road=scenario.road_map, zones=scenario.objective.zones)
 
+    def reach(self) -> Picture:
+        """How far half of the vehicles are detectable, by bearing from each mounting."""
+        return self._drawn("plot_reach", road=self.run.site.scenario.road_map)
+
     def _drawn(self, name: str, **settings) -> Picture:
         from .report import run_figures
 

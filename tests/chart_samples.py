@@ -9,7 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from blender_lidar.report.cloud_figures import Found, Sight, plot_clouds, plot_detections, plot_occupancy
-from blender_lidar.report.run_figures import plot_blind_zones, plot_by_distance, plot_convergence, plot_score_map
+from blender_lidar.report.coverage_figures import plot_blind_zones, plot_reach
+from blender_lidar.report.run_figures import plot_by_approach, plot_by_distance, plot_convergence, plot_score_map
 from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.verdict import ScoreMap
@@ -33,6 +34,9 @@ def table(seed: int, number: int = 200) -> dict[str, np.ndarray]:
     return {
         "x_m": x,
         "y_m": y,
+        "length_m": np.full(number, CAR[0]),
+        "width_m": np.full(number, CAR[1]),
+        "heading_deg": np.zeros(number),
         "distance_m": np.hypot(x, y),
         "detectable": rng.random(number) < 0.6,
         "entropy_bits": rng.uniform(0.0, 1.2, number),
@@ -90,6 +94,19 @@ def run_of(seen: dict | None = None, /, *, metric: str = "pe-vgop", **changes: o
     run.result = result | changes
     run.baseline, run.optimised = (table(1), table(2)) if seen is None else (seen, seen)
     return run
+
+
+def approach_groups() -> list[dict[str, object]]:
+    """Groups as result.json has them: two approaches, one with movements, the last without an interval."""
+    names = {"north": "approach", "north, left": "movement", "north, straight": "movement", "west": "approach"}
+    return [
+        {
+            **{"by": by, "name": name, "boxes": 40 + at, "before": 0.3 + 0.1 * at, "after": 0.6 + 0.1 * at},
+            "before_interval_90": [0.2 + 0.1 * at, 0.4 + 0.1 * at],
+            "after_interval_90": [0.5 + 0.1 * at, 0.7 + 0.1 * at] if by == "movement" else None,
+        }
+        for at, (name, by) in enumerate(names.items())
+    ]
 
 
 def history() -> np.ndarray:
@@ -158,6 +175,8 @@ def chart_arguments() -> dict[str, tuple[object, dict[str, object]]]:
         "score_map": (plot_score_map, {**run, "score_map": score_map()}),
         "by_distance": (plot_by_distance, run),
         "blind_zones": (plot_blind_zones, {**run, "road": ROAD}),
+        "reach": (plot_reach, {**run, "road": ROAD}),
+        "by_approach": (plot_by_approach, {"result": run_of(groups=approach_groups()).result}),
         "clouds": (plot_clouds, {"vehicles": vehicles(4), "sights": sights(np.arange(12) % 3 > 0), **HEADINGS}),
         "detections": (plot_detections, detections()),
         "occupancy": (plot_occupancy, occupancy(0.02, 0.1)),

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from blender_lidar.errors import MissingExtraError, OutputError
 from blender_lidar.report import figure as canvas
-from blender_lidar.report.run_figures import cell_means, covering_edges, plot_convergence
+from blender_lidar.report.run_figures import cell_means, plot_convergence
 from blender_lidar.traffic.boxes import corners_of
 from tests.chart_samples import history, lightness, run_of, vehicles
 
@@ -75,23 +75,6 @@ def test_baseline_and_optimised_differ_in_grey_and_in_shape():
     assert lightness(before["color"]) < 0.65  # still dark enough on white paper
     assert before["linestyle"] != after["linestyle"]
     assert before["marker"] != after["marker"]
-
-
-@given(
-    low=st.floats(-1e3, 1e3),
-    length=st.floats(0.0, 300.0),
-    step=st.floats(0.1, 20.0),
-    anchor=st.floats(-30.0, 30.0),
-)
-def test_covering_edges_hold_the_range_and_no_whole_cell_more(low, length, step, anchor):
-    high = low + length
-    edges = covering_edges(low, high, step, anchor)
-    assert edges[0] <= low
-    assert high <= edges[-1]
-    tolerance = 1e-9 * (abs(low) + length + abs(anchor) + step)
-    assert low - edges[0] <= step + tolerance
-    assert edges[-1] - high <= step + tolerance
-    np.testing.assert_allclose(np.diff(edges), step, rtol=1e-9, atol=1e-9)
 
 
 @given(seed=st.integers(0, 2**32 - 1), number=st.integers(0, 80))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,7 +26,6 @@ from .figure import (
     INK,
     OPTIMISED_LOOK,
     SMALL_PT,
-    TRAVEL_LABEL,
     WIDTH_MM,
     colours,
     header_mm,
@@ -36,21 +34,22 @@ from .figure import (
     place,
     sheet,
 )
+from .plan import plans, scale_bar, window_of
+from .road_plan import draw_road
 from .summary import leans, mounting_text, sides
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.collections import PathCollection
-    from matplotlib.figure import Figure
+
+    from ..road.road_map import RoadMap
 
 # --- Point clouds of one frame from above -----------------------------------------------------------------------------
 
 _MARGIN_M = 2.0
 _HIGHEST_M = 4.0  # a truck's roof: all panels, and any two charts, share one scale
-_LEFT_MM, _PANEL_MM = 13.0, 152.0  # where the panels begin on paper, and their width
-_HEADING_MM, _TICKS_MM, _KEY_MM = 9.0, 7.0, 30.0  # above a mounting, below a panel, below all panels
-_STEEPEST = 0.7  # a panel's height over its width is at most this
+_KEY_MM = 23.0  # below all panels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +83,8 @@ def draw_clouds(path: str | Path, site: Site, run: RunFolder) -> None:
         of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")
         sights.append(Sight(name, mounting, cloud, table["detectable"][of_frame]))
     title = f"{run.result['sensor']}: one revolution from above, frame {vehicles.frame}"
-    plot_clouds(path, vehicles, sights, title, leaning=leans(run.result))
+    road = site.scenario.road_map
+    plot_clouds(path, vehicles, sights, title, leaning=leans(run.result), road=road)
 
 
 def plot_clouds(
@@ -95,49 +95,38 @@ def plot_clouds(
     subtitle: str = "",
     *,
     leaning: bool = False,
+    road: RoadMap | None = None,
 ) -> None:
     """Draw one frame's cloud under the baseline and under the other mounting, to scale.
 
     The boxes of the `vehicles` and the LiDARs set what part of the road is drawn. Orientations are given as leans where
-    the run is about them, `leaning`. Errors as `figure.sheet`.
+    the run is about them, `leaning`; the `road` names the axes, and its lines are drawn. Errors as `figure.sheet`.
     """
     corners = corners_of(vehicles)
     poles = [sight.mounting.xy for sight in sights]
-    window = np.concatenate([corners.reshape(-1, 2), poles])
-    with _panels(path, window, len(sights), _KEY_MM, title, subtitle) as (figure, panels, bottom):
+    headings = []
+    for sight in sights:
+        points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
+        seen = f"{np.count_nonzero(sight.detectable)} of {len(sight.detectable)} vehicles detectable"
+        where = mounting_text(sight.mounting.as_table(), leans=leaning)
+        headings.append(f"{sight.name}: {where}\n{seen}, {points:,} points on vehicles")
+    window = window_of([corners, poles], _MARGIN_M)
+    with plans(path, window, headings, _KEY_MM, title, subtitle, road=road) as (figure, panels, bottom):
         for sight, axes in zip(sights, panels, strict=True):
             dots, entries = _draw_panel(axes, sight, corners)
-            points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
-            seen = f"{np.count_nonzero(sight.detectable)} of {len(sight.detectable)} vehicles detectable"
-            where = mounting_text(sight.mounting.as_table(), leans=leaning)
-            axes.set_title(f"{sight.name}: {where}\n{seen}, {points:,} points on vehicles")
-        bar = place(figure, 0.25 * WIDTH_MM, bottom + 7.0, 0.5 * WIDTH_MM, 2.5)
+            _draw_site(axes, road, window)
+        bar = place(figure, 0.25 * WIDTH_MM, bottom + 1.5, 0.5 * WIDTH_MM, 2.5)
         label = "Height above the road of points on vehicles [m]"
         figure.colorbar(dots, cax=bar, orientation="horizontal", label=label)
         legend_below(figure, entries, columns=3)
 
 
-@contextmanager
-def _panels(
-    path: str | Path, window: np.ndarray, mountings: int, key_mm: float, title: str, subtitle: str
-) -> Iterator[tuple[Figure, list[Axes], float]]:
-    """A sheet with the road from above, to scale and in one piece, that holds the points `window` (n, 2) [m].
-
-    Yields the figure, a panel for each mounting, and where they end on paper and the key begins [mm].
-    """
-    low, high = window.min(axis=0) - _MARGIN_M, window.max(axis=0) + _MARGIN_M
-    length, width = high - low
-    missing = max(width / _STEEPEST - length, 0.0)
-    panel_mm = _PANEL_MM * width / (length + missing)
-    first = header_mm(title, subtitle) + (_HEADING_MM + panel_mm + _TICKS_MM) * np.arange(mountings + 1)
-    with sheet(path, first[-1] + key_mm, title, subtitle, to_scale=True) as figure:
-        panels = [place(figure, _LEFT_MM, over + _HEADING_MM, _PANEL_MM, panel_mm) for over in first[:-1]]
-        for axes in panels:
-            ends = low[0] - 0.5 * missing, high[0] + 0.5 * missing
-            axes.set(xlim=ends, ylim=(low[1], high[1]), ylabel="y [m]")
-            axes.yaxis.get_major_locator().set_params(integer=True)
-        axes.set_xlabel(TRAVEL_LABEL)
-        yield figure, panels, float(first[-1])
+def _draw_site(axes: Axes, road: RoadMap | None, window: np.ndarray) -> None:
+    """The road below points and boxes, where it is known, and the scale."""
+    if road is not None:
+        draw_road(axes, road, window, {"facecolor": "none", "edgecolor": "none"}, arrows=False, over=0.5)
+    if axes.get_xlabel():
+        scale_bar(axes)
 
 
 def _draw_panel(axes: Axes, sight: Sight, corners: np.ndarray) -> tuple[PathCollection, list[Artist]]:
@@ -223,7 +212,8 @@ def draw_detections(
     of_frames = f"{len(frames)} {'held-out' if len(site.holdout) else 'searched'} frames"
     rule = f"confidence {_SURE:g} or more, hits within {CRITERIA[0].most_m:g} m"
     subtitle = f"{frame.counted.sum()} vehicles, the median of {of_frames}; {rule}"
-    plot_detections(path, frame, sure, title, subtitle, leaning=site.scenario.deployment.places[0].leans)
+    leaning, road = site.scenario.deployment.places[0].leans, site.scenario.road_map
+    plot_detections(path, frame, sure, title, subtitle, leaning=leaning, road=road)
 
 
 def plot_detections(
@@ -234,25 +224,29 @@ def plot_detections(
     subtitle: str = "",
     *,
     leaning: bool = False,
+    road: RoadMap | None = None,
 ) -> None:
     """Draw detections over the footprints of a frame's vehicles and the points, at each of some mountings, to scale.
 
-    The vehicles and detections that count and the LiDARs set what part of the road is drawn; `leaning` and errors as
-    for `plot_clouds`.
+    The vehicles and detections that count and the LiDARs set what part of the road is drawn; `leaning`, `road` and
+    errors as for `plot_clouds`.
     """
     poles = np.array([one.mounting.xy for one in found])
     counted = [
         corners_of(frame.vehicles.select(frame.counted)),
         *(corners_of(one.boxes)[~one.ignored] for one in found),
     ]
-    window = np.concatenate([poles, *(corners.reshape(-1, 2) for corners in counted)])
-    with _panels(path, window, len(found), _LEGEND_MM, title, subtitle) as (figure, panels, _):
+    window = window_of([poles, *counted], _MARGIN_M)
+    headings = []
+    for one in found:
+        hits, vehicles = np.count_nonzero(one.vehicle >= 0), np.count_nonzero(frame.counted)
+        alarms = len(one.boxes) - int(hits) - int(np.count_nonzero(one.ignored))
+        text = f"{hits} of {vehicles} vehicles found, {alarms} false alarm{'s' * (alarms != 1)}"
+        headings.append(f"{one.name}: {mounting_text(one.mounting.as_table(), leans=leaning)}\n{text}")
+    with plans(path, window, headings, _LEGEND_MM, title, subtitle, road=road) as (figure, panels, _):
         for one, axes in zip(found, panels, strict=True):
             entries = _draw_found(axes, frame, one)
-            hits, vehicles = np.count_nonzero(one.vehicle >= 0), np.count_nonzero(frame.counted)
-            alarms = len(one.boxes) - int(hits) - int(np.count_nonzero(one.ignored))
-            text = f"{hits} of {vehicles} vehicles found, {alarms} false alarm{'s' * (alarms != 1)}"
-            axes.set_title(f"{one.name}: {mounting_text(one.mounting.as_table(), leans=leaning)}\n{text}")
+            _draw_site(axes, road, window)
         legend_below(figure, entries, columns=4)
 
 

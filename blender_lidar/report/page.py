@@ -102,10 +102,20 @@ CHARTS = {
         "Share of detectable vehicles and mean score by distance from the LiDAR, for both mountings",
         "Each marker stands for 10 m of distance; the bars at the bottom say how many vehicles are behind it.",
     ),
+    "by_approach.png": (
+        "Detectable share by approach and movement, for both mountings, with 90 % intervals",
+        "Bold rows are approaches, those below them their movements. A mounting is better for a row where its interval "
+        "lies to the right of the other's; rows without an interval have too little traffic for one.",
+    ),
     "blind_zones.png": (
-        "Road from above, shaded by the share of vehicles below the threshold, for both mountings",
-        "To scale. Look for dark stretches: there most vehicles stay below the threshold. A number is that of the "
-        "boxes in a cell; a cell of few boxes says little. The triangle is the LiDAR.",
+        "Site from above, shaded by the share of vehicles below the threshold, for both mountings",
+        "To scale. Look for dark cells: there most vehicles stay below the threshold. A cell counts the boxes whose "
+        "footprints overlap it; small squares are cells of few boxes, which say little. The triangle is the LiDAR.",
+    ),
+    "reach.png": (
+        "Plan of the site with the distances up to which half of the boxes or more are detectable, for both mountings",
+        "To scale, by sectors of bearing from the LiDAR. Shares are made to fall with distance beyond their peak; a "
+        "dotted end means that the farthest boxes are still within reach. Nothing is drawn where too few boxes were.",
     ),
     "other_traffic.png": (
         "Detectable share under other traffic: lorries by lane, light traffic, rush hour, a queue",
@@ -299,7 +309,7 @@ def _notes(run: RunFolder):
 
 
 def _where(run: RunFolder):
-    """Scores by distance, lane, class and zone, before and after, with their charts."""
+    """Scores by groups of boxes, before and after, with their charts."""
     after = mounting_name(run.result)
     text = f"Detectable share and objective per vehicle, before (baseline) and after ({after}). "
     text += "A box is a vehicle in one frame; a vehicle counts once in every frame that shows it. "
@@ -307,7 +317,7 @@ def _where(run: RunFolder):
     tables = [table_markup(table, class_="groups") for table in group_tables(run.result)]
     drawn = any(run.file(name).exists() for name in CHARTS)
     charts = (
-        chart_figures(run, "by_distance.png", "blind_zones.png", "other_traffic.png")
+        chart_figures(run, "by_approach.png", "by_distance.png", "blind_zones.png", "reach.png", "other_traffic.png")
         if drawn
         else [element("p", _NO_CHARTS)]
     )

@@ -1,8 +1,7 @@
-"""The charts of a run: convergence, score map, detectable share by distance, blind zones; clouds and cells apart."""
+"""The charts of a run: convergence, score map, detectable share by distance and approach; plans and clouds apart."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -12,43 +11,32 @@ import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..run.folder import RunFolder
-from ..run.vehicle_table import METRIC_VALUE, WEIGHT
+from ..run.vehicle_table import APPROACH, METRIC_VALUE, MOVEMENT, WEIGHT
 from ..run.verdict import REGION_SHARE, ScoreMap, near_best_threshold
-from ..scene.settings import ZoneSettings
 from ..scene.site import Site
 from ..statistics import FEW_VEHICLES
 from ..traffic.vehicles import counted
 from .cautions import known_lanes
 from .cloud_figures import draw_clouds, draw_occupancy
+from .coverage_figures import plot_blind_zones, plot_reach
 from .figure import (
-    ALONG_LABEL,
     BASELINE_LOOK,
-    BLIND_COLOURS,
     FAINT,
     INK,
     OPTIMISED_LOOK,
     SCORE_COLOURS,
-    TRAVEL_LABEL,
     colours,
     legend_below,
-    mark_sensor,
     sheet,
 )
-from .summary import leans, mounting_name, mounting_text, sharp_of, sides, was_searched
+from .summary import mounting_name, run_text, sharp_of, sides, was_searched
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.collections import QuadMesh
     from matplotlib.lines import Line2D
-
-    from ..road.road_map import RoadMap
 
 FEWEST_VEHICLES = 5  # below this a band's average says little, and is not drawn
 BAND_M = 10.0
-_CELL_LENGTH_M = 5.0  # of the blind zones, along the road
-_MARGIN_M = 1.5  # room for the LiDAR's marker
-_PANEL_MM = 128.0  # width of a panel of the blind zones
-_MOST_WRITTEN = 36  # cells along the road in which a number can be read
 
 
 def draw_charts(site: Site, run: RunFolder) -> list[str]:
@@ -68,31 +56,20 @@ def draw_charts(site: Site, run: RunFolder) -> list[str]:
         charts["convergence.png"] = partial(plot_convergence, run=run, history=run.read_history())
         if (score_map := run.read_score_map()) is not None:
             charts["score_map.png"] = partial(plot_score_map, run=run, score_map=score_map)
+    road = site.scenario.road_map
     charts |= {
         "by_distance.png": partial(plot_by_distance, run=run),
-        "blind_zones.png": partial(
-            plot_blind_zones, run=run, road=site.scenario.road_map, zones=site.scenario.objective.zones
-        ),
+        "blind_zones.png": partial(plot_blind_zones, run=run, road=road, zones=site.scenario.objective.zones),
+        "reach.png": partial(plot_reach, run=run, road=road),
         "other_traffic.png": partial(plot_other_traffic, result=run.result),
         "clouds.png": partial(draw_clouds, site=site, run=run),
         "occupancy.png": partial(draw_occupancy, site=site, run=run),
     }
+    if approach_rows(run.result):
+        charts["by_approach.png"] = partial(plot_by_approach, result=run.result)
     for name, draw in charts.items():
         draw(run.file(name))
     return list(charts)
-
-
-def _about(result: Mapping, *, judged: bool = False) -> str:
-    """The line below a chart's title: sensor, range gate, vehicles, and the metric where it is not the default.
-
-    It is `judged` if the chart shows held-out frames too, where there are any.
-    """
-    metric = "" if result["metric"] == PE_VGOP.name else f", metric {metric_named(result['metric']).name}"
-    return (
-        f"{result['sensor']}, range gate {result['range_gate_m']:g} m, "
-        f"{counted(result['vehicles'], 'vehicle box')} in {counted(result['frames'], 'frame')}{metric}"
-        f"{', and held-out frames' if judged and result['holdout'] else ''}"
-    )
 
 
 # --- Convergence: how the search's best objective rose with the number of mountings tried -----------------------------
@@ -113,7 +90,7 @@ def plot_convergence(path: str | Path, run: RunFolder, history: np.ndarray) -> N
         vehicles = run.baseline[WEIGHT][run.baseline["split"] == "search"].sum()
     value, best = history[:, -2:].T / vehicles
     title = f"Search{over}: {result['search']}, seed {result['seed']}, {result['reading']} reading"
-    with sheet(path, 90.0, title, _about(result)) as figure:
+    with sheet(path, 90.0, title, run_text(result)) as figure:
         axes = figure.add_subplot(
             xlabel="Evaluations (mountings tried)",
             ylabel=metric.in_unit("Objective per vehicle"),
@@ -159,7 +136,7 @@ def plot_score_map(path: str | Path, run: RunFolder, score_map: ScoreMap) -> Non
         marks[:1] = [("sharp", sharp, "*", 13.0), ("robust", result, "D", 7.0)]
     grid, values = (score_map.tilt_deg, score_map.height_m), metric.shown(score_map.per_vehicle)
     what = "lean" if score_map.tilt == "lean_deg" else "tilt"
-    with sheet(path, 115.0, f"Objective over height and {what}", _about(result)) as figure:
+    with sheet(path, 115.0, f"Objective over height and {what}", run_text(result)) as figure:
         axes = figure.add_subplot(xlabel=_TILT_LABELS[score_map.tilt], ylabel="Mounting height above the road [m]")
         mesh = axes.pcolormesh(*grid, values, cmap=colours(SCORE_COLOURS), shading="gouraud")
         figure.colorbar(mesh, ax=axes, label=metric.in_unit("Objective per vehicle"), pad=0.02)
@@ -220,9 +197,9 @@ def plot_by_distance(path: str | Path, run: RunFolder) -> None:
     edges_m = BAND_M * np.arange(np.concatenate(distances).max(initial=0.0) // BAND_M + 2.0)
     centre_m = edges_m[:-1] + 0.5 * BAND_M
     counts = [np.histogram(distance, edges_m)[0] for distance in distances]
-    title, about = "What is seen, by distance", _about(result, judged=True)
+    title, subtitle = "What is seen, by distance", run_text(result, held_out=True)
     unit = ", ".join(filter(None, [metric.unit, "" if metric.higher_is_better else "lower is better"]))
-    with sheet(path, 140.0, title, about) as figure:
+    with sheet(path, 140.0, title, subtitle) as figure:
         share, score, count = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.4))
         handles = []
         for table, inside, look, (name, _) in zip(
@@ -285,6 +262,51 @@ def plot_other_traffic(path: str | Path, result: Mapping) -> None:
         legend_below(figure, handles, columns=3)
 
 
+def approach_rows(result: Mapping) -> list[Mapping]:
+    """Groups of a result by approach, each followed by its movements; none where no vehicle's approach is known.
+
+    A movement's name is its approach's, a comma, and where it leads.
+    """
+    groups = result.get("groups", ())
+    movements = [group for group in groups if group["by"] == MOVEMENT]
+    rows = []
+    for group in groups:
+        if group["by"] == APPROACH:
+            rows += [group, *(one for one in movements if one["name"].startswith(f"{group['name']}, "))]
+    return rows
+
+
+def plot_by_approach(path: str | Path, result: Mapping) -> None:
+    """Draw the detectable share of each approach and of its movements, before and after, with 90 % intervals."""
+    from matplotlib.lines import Line2D
+
+    rows = approach_rows(result)
+    looks = {"before": BASELINE_LOOK, "after": OPTIMISED_LOOK}
+    names = dict(zip(looks, (name.lower() for name, _ in sides(result)), strict=True))
+    with sheet(
+        path, 36.0 + 8.0 * len(rows), "Detectable vehicles by approach and movement", run_text(result)
+    ) as figure:
+        axes = figure.subplots()
+        for at, row in enumerate(rows):
+            if at and row["by"] == APPROACH:
+                axes.axhline(at - 0.5, color=FAINT, linewidth=0.8)
+            for (key, look), shift in zip(looks.items(), (-0.17, 0.17), strict=True):
+                if row[f"{key}_interval_90"]:
+                    ends = [100.0 * end for end in row[f"{key}_interval_90"]]
+                    line = {"color": look["color"], "linestyle": look["linestyle"], "linewidth": 1.4}
+                    axes.plot(ends, [at + shift] * 2, clip_on=False, **line)
+                axes.plot(100.0 * row[key], at + shift, clip_on=False, zorder=3, **{**look, "linestyle": "none"})
+        texts = [row["name"] if row["by"] == APPROACH else row["name"].rpartition(", ")[2] for row in rows]
+        boxes = [counted(row["boxes"], "box") for row in rows]
+        axes.set(xlabel="Detectable share [%]", xlim=(0.0, 100.0), ylim=(len(rows) - 0.5, -0.5))
+        axes.set_yticks(range(len(rows)), [f"{text} ({of})" for text, of in zip(texts, boxes, strict=True)])
+        for label, row in zip(axes.get_yticklabels(), rows, strict=True):
+            label.set_fontweight("bold" if row["by"] == APPROACH else "normal")
+        axes.grid(visible=True, axis="x")
+        handles = [Line2D([], [], **{**look, "label": f"{names[key]}, 90 % interval"}) for key, look in looks.items()]
+        legend_below(figure, handles, columns=2)
+
+
 def cell_means(values: np.ndarray, places: Sequence[np.ndarray], edges: Sequence[np.ndarray]) -> np.ndarray:
     """Mean of the values in each cell of a grid of one or more dimensions: a ratio of two histograms.
 
@@ -324,99 +346,3 @@ def _draw_counts(axes: Axes, centre_m: np.ndarray, counts: list[np.ndarray]) -> 
         Patch(label="vehicles, over all frames" + ("" if alike else " (baseline left)"), **solid),
         Patch(label=f"fewer than {FEWEST_VEHICLES}: not averaged", **hollow),
     ]
-
-
-# --- Blind zones: where along and across the road vehicles stay below the threshold, before and after -----------------
-
-
-def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Sequence[ZoneSettings] = ()) -> None:
-    """Draw the share of vehicles below the detectability threshold per cell of the road, before and after.
-
-    Across the road a cell is a lane, the median, or as wide as a lane beside them; `zones` of weights are outlined.
-    """
-    tables, mountings = (run.baseline, run.optimised), sides(run.result)
-    lane_m, half = float(np.median(road.width_m)), 0.5 * road.width_m
-    lines = np.unique(np.concatenate([road.offset_m - half, road.offset_m + half]).round(6))
-    poles = np.array([[mount["x_m"], mount["y_m"]] for _, mount in mountings])
-    x = np.concatenate([*(table["x_m"] for table in tables), poles[:, 0]])
-    y = np.concatenate([*(table["y_m"] for table in tables), lines])
-    x_edges = covering_edges(x.min(), x.max(), _CELL_LENGTH_M)
-    right = np.arange(math.ceil((lines[0] - y.min()) / lane_m), 0, -1)  # lanes beside the road where vehicles drive
-    left = np.arange(1, math.ceil((y.max() - lines[-1]) / lane_m) + 1)
-    y_edges = np.concatenate([lines[0] - lane_m * right, lines, lines[-1] + lane_m * left])
-    title, about = "Where vehicles stay below the threshold", _about(run.result, judged=True)
-    across = poles[:, 1]
-    xlim = x_edges[0], x_edges[-1]
-    ylim = min(y_edges[0], across.min() - _MARGIN_M), max(y_edges[-1], across.max() + _MARGIN_M)
-    height_mm = _PANEL_MM * (ylim[1] - ylim[0]) / (xlim[1] - xlim[0])
-    with sheet(path, 46.0 + 2.0 * (height_mm + 7.0), title, about) as figure:
-        panels = figure.subplots(2, 1, sharex=True, sharey=True)
-        for axes, table, (name, mount) in zip(panels, tables, mountings, strict=True):
-            below = np.where(table["detectable"], 0.0, 100.0)
-            share = cell_means(below, (table["y_m"], table["x_m"]), (y_edges, x_edges))
-            mesh, empty = _draw_cells(axes, x_edges, y_edges, share)
-            _write_counts(axes, np.histogram2d(table["y_m"], table["x_m"], (y_edges, x_edges))[0], x_edges, y_edges)
-            _draw_lanes(axes, road, np.stack(np.meshgrid(x_edges[[0, -1]], y_edges[[0, -1]]), axis=-1).reshape(-1, 2))
-            marker = mark_sensor(axes, (mount["x_m"], mount["y_m"]))
-            outlines = [_outline_zone(axes, zone) for zone in zones]
-            found = f"{below.mean():.1f} % of {below.size:,} boxes below the threshold"
-            axes.set(
-                title=f"{name}: {mounting_text(mount, leans=leans(run.result))}\n{found}",
-                ylabel="Across the road, y [m]",
-            )
-            axes.set_aspect("equal")
-        panels[-1].set(xlim=xlim, ylim=ylim, xlabel=ALONG_LABEL if road.against.any() else TRAVEL_LABEL)
-        figure.colorbar(mesh, ax=panels, label="Boxes below the threshold [%]", pad=0.02)
-        legend_below(figure, [marker, empty, *outlines[:1]], columns=3)
-
-
-def _write_counts(axes: Axes, counts: np.ndarray, x_edges: np.ndarray, y_edges: np.ndarray) -> None:
-    """The number of boxes in each cell, where cells are wide enough for it."""
-    if len(x_edges) > _MOST_WRITTEN:
-        return
-    for (row, column), count in np.ndenumerate(counts):
-        if count:
-            place = 0.5 * (x_edges[column] + x_edges[column + 1]), 0.5 * (y_edges[row] + y_edges[row + 1])
-            axes.text(*place, f"{count:.0f}", ha="center", va="center", fontsize=4.5, color=INK)
-
-
-def _outline_zone(axes, zone):
-    """The outline of a zone with its name and weight in it."""
-    x, y = np.array([*zone.polygon_m, zone.polygon_m[0]]).T
-    (line,) = axes.plot(x, y, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label="zone x weight", zorder=3)
-    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
-    look = {"ha": "center", "va": "center", "fontsize": 7.0, "bbox": box, "clip_on": True}
-    axes.text(x[:-1].mean(), y[:-1].mean(), f"{zone.name} x {zone.weight:g}", **look)
-    return line
-
-
-def covering_edges(low: float, high: float, step: float, anchor: float = 0.0) -> np.ndarray:
-    """Edges at ``anchor + k * step`` for whole k, (e,), the shortest run with every value in ``[low, high]`` inside."""
-    first = math.floor((low - anchor) / step)
-    last = math.floor((high - anchor) / step) + 1
-    # The quotient is rounded: an edge may have come out one step on the wrong side of its value.
-    first -= anchor + first * step > low
-    last += anchor + last * step < high
-    return anchor + step * np.arange(first, last + 1)
-
-
-def _draw_cells(axes: Axes, x_edges: np.ndarray, y_edges: np.ndarray, percent: np.ndarray) -> tuple[QuadMesh, object]:
-    """Cells shaded by per cent over a hatched ground that shows where there is none."""
-    from matplotlib.patches import Rectangle
-
-    corner, size = (x_edges[0], y_edges[0]), (np.ptp(x_edges), np.ptp(y_edges))
-    look = {"facecolor": "white", "edgecolor": FAINT, "hatch": "//////", "linewidth": 0.0}
-    axes.add_patch(Rectangle(corner, *size, zorder=0, **look))
-    shades = {"cmap": colours(BLIND_COLOURS), "vmin": 0.0, "vmax": 100.0}
-    mesh = axes.pcolormesh(x_edges, y_edges, np.ma.masked_invalid(percent), **shades)
-    return mesh, Rectangle((0.0, 0.0), 1.0, 1.0, label="no vehicle was there", **look)
-
-
-def _draw_lanes(axes: Axes, road: RoadMap, corners: np.ndarray) -> None:
-    """The edges of carriageways solid, the lines between their lanes dashed, as far as places (4, 2) reach [m]."""
-    s = road.locate(corners).s_m
-    edges, between = road.lines((s.min(), s.max()))
-    for line in between:
-        axes.plot(*line.T, color="black", linewidth=0.5, dashes=(6, 4))
-    for line in edges:
-        axes.plot(*line.T, color="black", linewidth=1.2)

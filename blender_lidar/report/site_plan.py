@@ -1,30 +1,48 @@
-"""The site plan of a proposed scene: trajectories from above, with lanes, region and pole, to be checked by eye."""
+"""The site plan of a proposed scene: trajectories from above, with lanes, region and poles, to be checked by eye."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ..names import SIDES
+from ..road.road_map import RoadMap
 from ..road.straight import StraightRoad, road_map
-from ..traffic.layout import HALF_STRETCH_M, RoadLayout
-from ..traffic.vehicles import Recording
-from .figure import ALONG_LABEL, INK, TRAVEL_LABEL, mark_sensor, sheet
+from ..traffic.layout import RoadLayout
+from ..traffic.vehicles import Recording, counted
+from .figure import INK, WIDTH_MM, header_mm, place, sheet
+from .plan import (
+    ROOM_MM,
+    Stand,
+    arrow,
+    axis_labels,
+    background,
+    draw_stands,
+    fitted_mm,
+    north_arrow,
+    north_name,
+    plans,
+    scale_bar,
+    show,
+    window_of,
+)
+from .road_plan import EDGE_LOOK, ENTRY_LOOK, LANE_LINE_LOOK, STOP_LINE_LOOK, draw_road
 
 _MOST_POINTS = 60_000
-_ROUND_M = 20.0  # shown around the region
-_EDGE_LOOK = {"color": INK, "linewidth": 1.2}
-_LANE_LOOK = {"color": "#173f70", "linewidth": 0.8, "linestyle": (0, (6, 4))}
+_ROUND_M = 15.0  # shown around the region
+_CENTRE_LOOK = {"color": "#173f70", "linewidth": 0.8, "linestyle": (0, (6, 4)), "zorder": 2.2}
 _REGION_LOOK = {"facecolor": "#cf7f1b", "alpha": 0.22, "edgecolor": "none", "zorder": 0.5}
+_KEEP_OUT_LOOK = {"facecolor": "none", "edgecolor": INK, "linewidth": 0.8, "hatch": "xxx", "zorder": 0.6}
 _ALONG, _OTHER = "#4b86c2", "#a35c00"  # driven along the carriageway, or any other way
+_WAYS = ("#173f70", "#4b9ac2", "#a35c00", "#7a7a7a", "#c46aa0", "#5c8a3a", "#c0261c", "#30c0a0")
 _LONGEST_NAME = 28
 _WITHIN_RAD = math.radians(30.0)
 
 
 def plot_site_plan(recording: Recording, layout: RoadLayout, path: str | Path, axis_names: tuple[str, str]) -> None:
-    """Draw all trajectories from above, the proposed road about its pole, and where across it vehicles drive.
+    """Draw all trajectories from above, the proposed road about its pole, and where across it vehicles drive; to scale.
 
     Parameters
     ----------
@@ -44,21 +62,38 @@ def plot_site_plan(recording: Recording, layout: RoadLayout, path: str | Path, a
     both_ways = layout.road.carriageways == 2
     along = np.abs(np.sin(turned)) <= math.sin(_WITHIN_RAD)
     along &= both_ways | (np.cos(turned) > 0.0)
-    name = Path(recording.source).name
-    name = name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
+    colours = np.where(along, _ALONG, _OTHER)
+    road = layout.placing.points(xy)
+    title = "Proposed site"
     subtitle = (
-        f"{name}: {layout.vehicles + layout.oncoming:,} vehicles on {road_text(layout.road)}; pole "
+        f"{_name_of(recording)}: {layout.vehicles + layout.oncoming:,} vehicles on {road_text(layout.road)}; pole "
         f"{layout.road.setback_m:g} m to the {layout.road.drives_on} of it"
     )
-    with sheet(path, 190.0, "Proposed site", subtitle) as figure:
-        how = {"height_ratios": (1.0, 1.0), "width_ratios": (5.0, 1.0)}
-        axes = figure.subplot_mosaic([["all", "all"], ["near", "across"]], **how)
-        _draw_all(axes["all"], xy, along, layout, axis_names)
-        road = layout.placing.points(xy)
-        _draw_near(axes["near"], road, along, layout)
-        _draw_across(axes["across"], road, along, layout)
-        axes["across"].set_ylim(axes["near"].get_ylim())
+    whole, near = _whole_window(xy), _near_window(layout)
+    near_mm = fitted_mm(near, ROOM_MM - _ACROSS_MM - _GAP_MM, 90.0)
+    whole_mm = fitted_mm(whole, ROOM_MM, _WHOLE_MM)
+    top = header_mm(title, subtitle) + _TITLE_MM
+    below = top + whole_mm[1] + _LABELS_MM + _TITLE_MM
+    left_mm = WIDTH_MM - ROOM_MM - 5.0
+    with sheet(path, below + near_mm[1] + _LABELS_MM + _KEY_MM, title, subtitle, to_scale=True) as figure:
+        axes = place(figure, left_mm, top, *whole_mm)
+        show(axes, whole)
+        axes.set(title="All trajectories, in the file's own frame")
+        axes.set(xlabel=f"{axis_names[0]} [m]", ylabel=f"{axis_names[1]} [m]")
+        _draw_all(axes, xy, colours, layout)
+        scale_bar(axes)
+        axes = place(figure, left_mm, below, *near_mm)
+        show(axes, near)
+        _draw_near(axes, road, colours, layout, near)
+        scale_bar(axes)
+        across = place(figure, left_mm + near_mm[0] + _GAP_MM, below, _ACROSS_MM, near_mm[1])
+        _draw_across(across, road[along], layout, axes.get_ylim())
         figure.legend(handles=_handles(), loc="outside lower center", ncols=3, handlelength=2.4)
+
+
+_WHOLE_MM, _ACROSS_MM, _GAP_MM = 90.0, 24.0, 3.0  # height of the whole plan; width of the panel beside the near one
+_TITLE_MM, _LABELS_MM, _KEY_MM = 6.0, 12.0, 13.0
+_THINNEST = 0.12  # height over width of the whole plan at least
 
 
 def road_text(road: StraightRoad) -> str:
@@ -69,16 +104,37 @@ def road_text(road: StraightRoad) -> str:
     return f"2 x {lanes} of {road.lane_width_m:g} m with a median of {road.median_m:g} m"
 
 
-def _draw_points(axes, xy, along, size):
+def _name_of(recording: Recording) -> str:
+    name = Path(recording.source).name
+    return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
+
+
+def _whole_window(xy: np.ndarray) -> np.ndarray:
+    """All trajectories with a margin, (2, 2) [m]; a thin site has room for marks beside it."""
+    window = window_of([xy], 0.03 * float(np.ptp(xy, axis=0).max()))
+    missing = (_THINNEST * np.ptp(window, axis=0)[::-1] - np.ptp(window, axis=0)).clip(0.0)
+    return window + np.array([[-0.5], [0.5]]) * missing
+
+
+def _near_window(layout: RoadLayout) -> np.ndarray:
+    """The road frame about the pole, (2, 2) [m]."""
+    edges = layout.road.carriageways_y
+    low, high = edges[0][0] - 8.0, edges[-1][1] + 8.0
+    ends = layout.stretch_m[0] - _ROUND_M, layout.stretch_m[1] + _ROUND_M
+    return np.array([[ends[0], min(low, layout.pole_y - 3.0)], [ends[1], max(high, layout.pole_y + 3.0)]])
+
+
+def _draw_points(axes, xy, colours, size):
     thin = slice(None, None, max(1, -(-len(xy) // _MOST_POINTS)))
-    xy, along = xy[thin], along[thin]
-    for which, colour in ((~along, _OTHER), (along, _ALONG)):
+    xy, colours = xy[thin], colours[thin]
+    for colour in sorted(set(colours.tolist()), reverse=True):
+        which = colours == colour
         axes.plot(*xy[which].T, ".", color=colour, markersize=size, markeredgewidth=0.0, alpha=0.6, zorder=1.0)
 
 
-def _draw_all(axes, xy, along, layout, names):
+def _draw_all(axes, xy, colours, layout):
     """The whole recording in the file's plane, and where the road frame lies in it."""
-    _draw_points(axes, xy, along, 1.0)
+    _draw_points(axes, xy, colours, 1.0)
     turn = math.radians(layout.placing.heading_deg)
     axes_of_road = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])  # rows: x and y
     first, last = layout.stretch_m
@@ -86,66 +142,41 @@ def _draw_all(axes, xy, along, layout, names):
         outline = np.array([[first, right], [last, right], [last, left], [first, left], [first, right]])
         outline = layout.placing.origin_m + outline @ axes_of_road
         axes.fill(*outline.T, **_REGION_LOOK)
-        axes.plot(*outline.T, **_EDGE_LOOK)
-    mark_sensor(axes, layout.pole_m)
-    size = 0.03 * float(np.ptp(xy, axis=0).max())
+        axes.plot(*outline.T, color=INK, linewidth=1.0)
+    draw_stands(axes, [Stand("", layout.pole_m)])
+    size = 0.02 * float(np.ptp(axes.get_xlim()))
     y = layout.pole_y + (size if layout.pole_y else -size)
-    _arrow(axes, *(layout.placing.origin_m + np.array([[0.0, y], [4.0 * size, y]]) @ axes_of_road))
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set(title="All trajectories, in the file's own frame", xlabel=f"{names[0]} [m]", ylabel=f"{names[1]} [m]")
+    arrow(axes, *(layout.placing.origin_m + np.array([[0.0, y], [4.0 * size, y]]) @ axes_of_road))
     axes.grid()
 
 
-def _arrow(axes, start, end):
-    look = {"arrowstyle": "-|>", "color": INK, "linewidth": 1.4, "mutation_scale": 12.0}
-    axes.annotate("", end, start, arrowprops=look, zorder=4)
-
-
-def _draw_near(axes, road, along, layout):
+def _draw_near(axes, road, colours, layout, window):
     """The road frame about the pole."""
-    low, high = layout.stretch_m[0] - _ROUND_M, layout.stretch_m[1] + _ROUND_M
-    bottom, top = _across_m(layout)
-    shown = (road[:, 0] > low) & (road[:, 0] < high)
-    _draw_points(axes, road[shown], along[shown], 2.2)
+    shown = ((road > window[0]) & (road < window[1])).all(axis=1)
+    proposed = road_map(layout.road)
+    draw_road(axes, proposed, window)
+    _draw_points(axes, road[shown], colours[shown], 1.6)
     for edges in layout.road.carriageways_y:
         axes.fill_between(layout.stretch_m, *edges, **_REGION_LOOK)
-        for y in edges:
-            axes.plot((low, high), (y, y), **_EDGE_LOOK)
-    for y in road_map(layout.road).offset_m:
-        axes.plot((low, high), (y, y), **_LANE_LOOK)
-    at = bottom + 4.0, top - 4.0  # beside the carriageway that drives along +x, and the other one
-    with_x, against = at if layout.road.drives_on == SIDES[0] else at[::-1]
-    reach = 0.3 * HALF_STRETCH_M
-    _arrow(axes, (-reach, with_x), (reach, with_x))
-    if layout.road.carriageways == 2:
-        _arrow(axes, (reach, against), (-reach, against))
-    mark_sensor(axes, (0.0, layout.pole_y))
-    axes.set(
-        xlim=(low, high),
-        ylim=(bottom, top),
-        xlabel=ALONG_LABEL if layout.road.carriageways > 1 else TRAVEL_LABEL,
-        ylabel="Across, y [m], to the left",
-    )
-    axes.set_title("The proposed road frame (y stretched)")
-    axes.grid()
+    for y in proposed.offset_m:
+        axes.plot(window[:, 0], (y, y), **_CENTRE_LOOK)
+    side = layout.road.place(layout.road.drives_on)[1]
+    draw_stands(axes, [Stand("", (0.0, layout.pole_y), side)])
+    along, across = axis_labels(proposed)
+    axes.set(xlabel=along, ylabel=across.replace("Across the road", "Across"), title="The proposed road frame")
 
 
-def _across_m(layout):
-    """From where to where across the road is shown."""
-    return -8.0, layout.road.place(SIDES[1])[0] + 8.0
-
-
-def _draw_across(axes, road, along, layout):
+def _draw_across(axes, road, layout, limits):
     """How often vehicles drive where across the road, beside the proposed lanes."""
-    bottom, top = _across_m(layout)
-    near = along & (road[:, 0] >= layout.stretch_m[0]) & (road[:, 0] <= layout.stretch_m[1])
-    counts, edges = np.histogram(road[near, 1], np.arange(bottom, top + 0.25, 0.25))
+    near = road[(road[:, 0] >= layout.stretch_m[0]) & (road[:, 0] <= layout.stretch_m[1]), 1]
+    counts, edges = np.histogram(near, np.arange(limits[0], limits[1] + 0.25, 0.25))
     axes.barh(edges[:-1], counts, height=0.25, align="edge", color=_ALONG)
     for y in np.ravel(layout.road.carriageways_y):
-        axes.axhline(y, **_EDGE_LOOK)
+        axes.axhline(y, color=INK, linewidth=1.0)
     for y in road_map(layout.road).offset_m:
-        axes.axhline(y, **_LANE_LOOK)
-    axes.set(xlabel="Boxes", title="Driven where", yticklabels=[])
+        axes.axhline(y, **_CENTRE_LOOK)
+    axes.xaxis.get_major_locator().set_params(integer=True, nbins=3)
+    axes.set(xlabel="Boxes", title="Driven where", yticklabels=[], ylim=limits)
 
 
 def _handles():
@@ -156,8 +187,116 @@ def _handles():
     return [
         Line2D([], [], color=_ALONG, label="driven along the road", **dots),
         Line2D([], [], color=_OTHER, label="driven any other way", **dots),
-        Line2D([], [], label="edges of the road", **_EDGE_LOOK),
-        Line2D([], [], label="lane centres", **_LANE_LOOK),
+        Line2D([], [], label="edges of the road", **EDGE_LOOK),
+        Line2D([], [], label="lane centres", **_CENTRE_LOOK),
         Patch(label="region; an arrow is a direction of travel", **_REGION_LOOK),
-        Line2D([], [], linestyle="none", marker="^", markerfacecolor="white", markeredgecolor="black", label="LiDAR"),
+        _lidar("LiDAR"),
     ]
+
+
+def _lidar(label):
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], linestyle="none", marker="^", markerfacecolor="white", markeredgecolor="black", label=label)
+
+
+# --- A site with a map ------------------------------------------------------------------------------------------------
+
+
+def plot_mapped_plan(
+    path: str | Path,
+    road: RoadMap,
+    outlines: Sequence[np.ndarray],
+    poles: Sequence[Stand],
+    recording: Recording,
+    *,
+    keep_out: Sequence[Sequence[Sequence[float]]] = (),
+    ways: np.ndarray | None = None,
+    bearing_deg: float = 0.0,
+    image: tuple[str | Path, Sequence[Sequence[float]]] | None = None,
+) -> None:
+    """Draw the plan of a site with a map to scale: lanes, stop lines, region, poles, and what was driven behind them.
+
+    Parameters
+    ----------
+    path : path
+        The PNG to write; an existing file is replaced.
+    road : RoadMap
+    outlines, keep_out : sequence of polygons, (k, 2) each
+        The region, and what is kept out of it [m].
+    poles : sequence of Stand
+        Where LiDARs hang or may hang.
+    recording : Recording
+        In the site frame; n boxes.
+    ways : ndarray of str, (n,), optional
+        What each box is coloured by, such as its movement; "" for none. Unless given, the direction of travel.
+    bearing_deg : float
+        Of the site frame's +y, as `plan.north_arrow` takes it.
+    image : (path, points), optional
+        A picture of the site, as `plan.background` takes it.
+
+    Errors as `figure.sheet` and `plan.background`.
+    """
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    window = window_of([*outlines, *([stand.xy] for stand in poles)], _ROUND_M)
+    width, height = np.ptp(window, axis=0)  # a site that is high shows more beside it
+    window += np.array([[-0.5], [0.5]]) * (max(height / _STEEPEST - width, 0.0), 0.0)
+    xy = recording.centre_m[:, :2]
+    ways = _quarters(recording.heading_rad, north_name(road) == "N") if ways is None else ways
+    shown = ((xy > window[0]) & (xy < window[1])).all(axis=1)
+    names, boxes = np.unique(ways[shown], return_counts=True)
+    names = names[np.argsort(-boxes, kind="stable")]
+    known = [name for name in names.tolist() if name][: len(_WAYS)]
+    colour_of = dict(zip(known, _WAYS, strict=False))
+    colours = np.array([colour_of.get(name, "#b0b0b0") for name in ways[shown].tolist()])
+    vehicles = counted(len(np.unique(recording.vehicle_id[shown])), "vehicle")
+    subtitle = f"{_name_of(recording)}: {vehicles} in this window, {counted(len(poles), 'pole')}"
+    key_mm = 18.0 + 4.0 * math.ceil(len(known) / 3)
+    with plans(path, window, [""], key_mm, "The site to scale", subtitle, road=road) as (figure, panels, _):
+        (axes,) = panels
+        if image is not None:
+            background(axes, *image)
+        drawn = draw_road(axes, road, window, **({"fill": _SEEN_THROUGH} if image is not None else {}))
+        for outline in outlines:
+            axes.fill(*np.asarray(outline).T, **_REGION_LOOK)
+        for outline in keep_out:
+            axes.fill(*np.asarray(outline, dtype=float).T, **_KEEP_OUT_LOOK)
+        _draw_drives(axes, recording.vehicle_id[shown], xy[shown], colours)
+        scale_bar(axes)
+        north_arrow(axes, bearing_deg, north_name(road))
+        dots = {"linestyle": "none", "marker": "o", "markersize": 3.0}
+        handles = [Line2D([], [], color=colour_of[name], label=name, **dots) for name in known]
+        handles.append(Patch(label="region", **_REGION_LOOK))
+        handles += [Patch(label="kept out", **_KEEP_OUT_LOOK)] * bool(keep_out)
+        lines = {"stop line": ("stop line", STOP_LINE_LOOK), "entry": ("entry without signals", ENTRY_LOOK)}
+        lines["lane"] = "line between lanes", LANE_LINE_LOOK
+        handles += [Line2D([], [], label=label, **look) for kind, (label, look) in lines.items() if kind in drawn]
+        if poles:
+            draw_stands(axes, poles)
+            handles.append(_lidar("pole, and which way it faces"))
+        figure.legend(handles=handles, loc="outside lower center", ncols=3, handlelength=2.4)
+
+
+_STEEPEST = 1.2  # height over width
+_LONGEST_STEP_M = 30.0  # between boxes of a vehicle; farther ones are not one drive
+_SEEN_THROUGH = {"facecolor": "none", "edgecolor": "none"}
+
+
+def _draw_drives(axes, vehicle_id, xy, colours):
+    """A thin line from each box to the next of its vehicle."""
+    from matplotlib.collections import LineCollection
+
+    order = np.argsort(vehicle_id, kind="stable")  # recordings are in the order of time
+    xy, colours, vehicle = xy[order], colours[order], vehicle_id[order]
+    step = (vehicle[1:] == vehicle[:-1]) & (np.hypot(*np.diff(xy, axis=0).T) <= _LONGEST_STEP_M)
+    lines = np.stack([xy[:-1], xy[1:]], axis=1)[step]
+    look = {"linewidth": 0.4, "alpha": 0.6, "zorder": 1.0}
+    axes.add_collection(LineCollection(lines, colors=colours[1:][step], **look), autolim=False)
+
+
+def _quarters(heading_rad: np.ndarray, named: bool) -> np.ndarray:
+    """The quarter of the circle towards which each box heads, (n,)."""
+    names = ("east", "north", "west", "south") if named else ("+x", "+y", "-x", "-y")
+    return np.array([f"towards {name}" for name in names])[np.round(heading_rad / (0.5 * math.pi)).astype(int) % 4]

@@ -46,6 +46,19 @@ def sides(result: Mapping) -> list[tuple[str, Mapping[str, float]]]:
     return [("Baseline", result["baseline"]["deployment"]), (mounting_name(result).capitalize(), result["deployment"])]
 
 
+def run_text(result: Mapping, *, held_out: bool = False) -> str:
+    """The line below a chart's title: sensor, range gate, vehicles, and the metric where it is not the default.
+
+    It says so where the chart shows the frames that are `held_out`, too, and there are any.
+    """
+    metric = "" if result["metric"] == PE_VGOP.name else f", metric {metric_named(result['metric']).name}"
+    return (
+        f"{result['sensor']}, range gate {result['range_gate_m']:g} m, "
+        f"{counted(result['vehicles'], 'vehicle box')} in {counted(result['frames'], 'frame')}{metric}"
+        f"{', and held-out frames' if held_out and result['holdout'] else ''}"
+    )
+
+
 def leans(result: Mapping) -> bool:
     """Whether a run speaks of a lean and its direction, as its scene does, and not of tilts and yaw."""
     return result.get("identity", {}).get("[deployment] lean_deg") is not None

@@ -160,6 +160,25 @@ def classes(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
     return [(str(name), table["class"] == name) for name in np.unique(table["class"])]
 
 
+APPROACH, MOVEMENT = "approach", "movement"
+"""The columns, where a site has approaches, of where a vehicle comes from and how it turns; "" where unknown."""
+
+
+def approaches(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Names of the approaches from which vehicles come, and which rows of a vehicle table each holds."""
+    return [(str(name), table[APPROACH] == name) for name in np.unique(table[APPROACH]) if name]
+
+
+def movements(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Names of the movements of each approach, after its own name and a comma, and the rows that each holds."""
+    return [
+        (f"{name}, {movement}", rows & (table[MOVEMENT] == movement))
+        for name, rows in approaches(table)
+        for movement in np.unique(table[MOVEMENT][rows]).tolist()
+        if movement
+    ]
+
+
 def zones(table: Mapping[str, np.ndarray], objective: ObjectiveSettings) -> list[tuple[str, np.ndarray]]:
     """Names of the scene's zones that hold vehicles, and of what is outside, and the rows that each holds."""
     zone = first_zone(objective, np.column_stack([table["x_m"], table["y_m"]]))
@@ -223,7 +242,10 @@ class BoxShares:
         return {key: shares[key] for key in ("boxes", "distinct_vehicles")} | named
 
     def groups(self, site: Site) -> list[dict[str, object]]:
-        """`shares` by distance, lane, class and zone, each with ``by``, ``name`` and the objective per vehicle."""
+        """`shares` of each group: ``by``, ``name``, and the objective per vehicle.
+
+        By distance, lane, class, zone, approach and movement, as far as the site has them.
+        """
         metric, objective = metric_named(site.scoring.metric), site.scenario.objective
         weight, rows = vehicle_weight(self.before), []
         scores = [
@@ -234,6 +256,8 @@ class BoxShares:
         ]
         found = {"distance": distance_bands(self.before), "lane": lanes(self.before), "class": classes(self.before)}
         found["zone"] = zones(self.before, objective) if objective.zones else []
+        if APPROACH in self.before:
+            found |= {APPROACH: approaches(self.before), MOVEMENT: movements(self.before)}
         if not self.before["lane"].any():
             del found["lane"]
         for by, groups in found.items():
