@@ -201,6 +201,7 @@ def add_lidar(scene: bpy.types.Scene, pose: Pose) -> bpy.types.Object:
 
 def select(context: bpy.types.Context, lidar: bpy.types.Object) -> None:
     """Select a LiDAR alone and make it active, so that G moves it."""
+    context.view_layer.update()  # which may not know a new one yet
     if lidar.name in context.view_layer.objects:
         for item in context.selected_objects:
             item.select_set(False)
