@@ -125,6 +125,17 @@ def test_sides_are_solid_or_broken_and_stop_lines_lie_where_lanes_enter_the_junc
     assert painted((HALF_M + 0.5, 0.1), (HALF_M + 0.5, 6.4)) < 0.1
 
 
+def test_where_one_road_goes_on_as_another_there_is_no_stop_line(scene):
+    def stops(road):
+        return len(drawn(scene, road)["Lane lines"].polygons)
+
+    for arms, signals, lines in ((4, False, 8), (3, False, 6), (2, True, 4), (2, False, 0)):
+        road = crossing(arms=arms)
+        here = replace(road, junctions=(road.junctions[0]._replace(signalised=signals),))
+        nowhere = replace(road, lanes=tuple(lane._replace(leads_to=()) for lane in road.lanes))
+        assert stops(here) - stops(nowhere) == lines
+
+
 def test_a_large_map_is_drawn_within_reach_alone(scene):
     whole = {name: len(mesh.polygons) for name, mesh in drawn(scene, crossing()).items()}
     assert sum(whole.values()) < 300

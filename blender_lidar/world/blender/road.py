@@ -166,7 +166,7 @@ def _counter_clockwise(outline: np.ndarray) -> np.ndarray:
 def _painted(road: RoadMap, ends: dict, sides: dict) -> list[np.ndarray]:
     """Markings of the lanes between junctions, as quads: solid edges, dashes between lanes, and stop lines."""
     rows = [row for row in sides if not _lane(road, row).junction and _lane(road, row).use != "pedestrians"]
-    bars, between = [], _part(road, rows)
+    bars, between, crossings = [], _part(road, rows), _crossings(road)
     for row, (right, left) in ((row, sides[row]) for row in rows):
         found, same_way = _beside(between, right, left, against=road.against[row])
         for side, there, same in zip((right, left), found, same_way, strict=True):
@@ -179,15 +179,22 @@ def _painted(road: RoadMap, ends: dict, sides: dict) -> list[np.ndarray]:
                 bars += _bars(side[:-1], side[1:], _LINE_WIDTH_M)
         end = 0 if road.against[row] else -1
         whole = abs(ends[row][end] - road.stations(lane=row)[end]) < _LINE_WIDTH_M
-        if whole and _lane(road, row).use == "vehicles" and _leads_into_a_junction(road, row):
+        enters = any(_lane(road, other).junction in crossings for other in _lane(road, row).leads_to)
+        if whole and enters and _lane(road, row).use == "vehicles":
             middle = right + left
             behind = 0.5 * _STOP_LINE_M * _unit(middle[end] - middle[1 if end == 0 else -2])
             bars += _bars((right[end] - behind)[None], (left[end] - behind)[None], _STOP_LINE_M)
     return bars
 
 
-def _leads_into_a_junction(road: RoadMap, row: int) -> bool:
-    return any(_lane(road, other).junction for other in _lane(road, row).leads_to)
+def _crossings(road: RoadMap) -> set[str]:
+    """Junctions that have stop lines: those with signals, or into which three roads lead or more."""
+    led = {}
+    for lane in road.lanes:
+        for junction in {road.lanes[row].junction for row in lane.leads_to} - {"", lane.junction}:
+            led.setdefault(junction, set()).add(lane.road)
+    signalised = {junction.name for junction in road.junctions if junction.signalised}
+    return signalised | {junction for junction, roads in led.items() if len(roads) > 2}
 
 
 def _beside(lanes: RoadMap, right: np.ndarray, left: np.ndarray, *, against: bool) -> tuple[np.ndarray, np.ndarray]:
