@@ -164,6 +164,15 @@ def test_a_setting_without_a_field_is_shown_and_an_error_in_it_names_the_file(tm
         scenario()
 
 
+def test_keys_of_a_road_that_has_no_fields_are_kept_and_shown(tmp_path):
+    scene, given = bpy.context.scene, {"net": "town.net.xml", "origin_m": [100.0, 200.0]}
+    properties.keep_tables(scene.blender_lidar, {"road": given}, "", session.fields_of(scene))
+    assert properties.road_table(scene) == given
+    assert "[road] net, origin_m" in session.without_field(scene, None)
+    scene.blender_lidar.road.lanes = 3
+    assert properties.road_table(scene) == given | {"lanes": 3}
+
+
 def test_the_crown_is_there_wherever_a_live_lidar_is_dragged(tmp_path):
     lidar = loaded(SCENES["slope_and_crown"](tmp_path))
     lidar.lidar.live = True

@@ -95,7 +95,7 @@ def lidar():
 
 
 def lidars():
-    return [item for item in bpy.data.objects if item.type == "EMPTY"]
+    return [item for item in bpy.data.objects if item.get("blender_lidar") == "lidar"]
 
 
 def cloud():

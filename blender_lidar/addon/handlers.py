@@ -4,7 +4,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..errors import BlenderLidarError
-from ..world.blender.objects import PART, lidars, orphans, role
+from ..world.blender.objects import PART, frame_of, lidars, orphans, role
 from . import operators, properties, session
 
 classes = ()
@@ -19,9 +19,12 @@ def on_load(*_) -> None:
 
 @persistent
 def on_update(scene, *_) -> None:
-    """Complete LiDARs duplicated without their parts, and remove the parts of deleted ones, at the next moment."""
-    bare = (lidar for lidar in lidars(scene) if not any(role(child) == PART for child in lidar.children))
-    if (any(bare) or orphans(scene)) and not bpy.app.background and not bpy.app.timers.is_registered(adopt_all):
+    """Complete LiDARs without their parts or a road frame, and remove the parts of deleted ones, at the next moment."""
+    found = lidars(scene)
+    bare = any(not any(role(child) == PART for child in lidar.children) for lidar in found)
+    if not bare and not (found and frame_of(scene) is None) and not orphans(scene):
+        return
+    if not bpy.app.background and not bpy.app.timers.is_registered(adopt_all):
         bpy.app.timers.register(adopt_all, first_interval=0.0)
 
 

@@ -17,7 +17,7 @@ from ..clouds.snapshot import entropy_of_vehicles, vertices_of
 from ..errors import BlenderLidarError
 from ..scene.scenario import Scenario
 from ..traffic.vehicles import Vehicles
-from ..world.blender.objects import SHAPE, VEHICLE, VEHICLE_ID, lidars, role, wear_own_paint
+from ..world.blender.objects import SHAPE, VEHICLE, VEHICLE_ID, frame_of, lidars, role, wear_own_paint
 from ..world.blender.points import cloud_of, colour_cloud, colours_by, show_cloud
 from ..world.blender.preview import VisibleObjects
 from ..world.blender.site import is_own
@@ -71,7 +71,12 @@ def update() -> None:
         key = session.uid_of(scene)
         objects = _state.objects.setdefault(key, VisibleObjects())
         layer.update()  # instances of objects that have gone since would crash Blender
-        objects.refresh(scene, layer.depsgraph)
+        try:
+            objects.refresh(scene, layer.depsgraph)
+        except BlenderLidarError as error:
+            objects.forget()  # so that all is looked at again
+            _tell(scene, str(error))
+            continue
         for lidar in mine:
             shown = _state.shown.get(session.uid_of(lidar))
             if shown is None:
@@ -80,11 +85,16 @@ def update() -> None:
                 problem = "" if _update_one(scene, lidar, shown, objects) else scene.blender_lidar.problem
             except BlenderLidarError as error:
                 problem = " ".join(str(error).split())
-            if scene.blender_lidar.problem != problem:  # what is set is drawn again
-                scene.blender_lidar.problem = problem
+            _tell(scene, problem)
     for key in set(_state.shown) - live:
         _end(key, _state.shown.pop(key))
     _draw_if(bool(_state.shown))
+
+
+def _tell(scene, problem) -> None:
+    """Say at the top of the tab what is wrong; what is set is drawn again."""
+    if scene.blender_lidar.problem != problem:
+        scene.blender_lidar.problem = problem
 
 
 def _open_scenes() -> list[tuple[bpy.types.Scene, bpy.types.ViewLayer]]:
@@ -204,11 +214,15 @@ def _draw() -> None:
     from gpu_extras.batch import batch_for_shader
 
     scene, scale = session.uid_of(bpy.context.scene), bpy.context.scene.unit_settings.scale_length
+    frame = frame_of(bpy.context.scene)
     shader = gpu.shader.from_builtin(_shader_name())
     if bpy.app.version >= _OWN_POINTS:
         shader.uniform_float("size", _POINT_SIZE)
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.point_size_set(_POINT_SIZE)
+    gpu.matrix.push()
+    if frame is not None:
+        gpu.matrix.multiply_matrix(frame.matrix_world)
     for shown in _state.shown.values():
         if shown.scene != scene or shown.look is None:
             continue
@@ -216,6 +230,7 @@ def _draw() -> None:
             places = np.ascontiguousarray(shown.look.cloud.xyz / scale, dtype=np.float32)
             shown.batch = batch_for_shader(shader, "POINTS", {"pos": places, "color": shown.colours})
         shown.batch.draw(shader)
+    gpu.matrix.pop()
     gpu.state.point_size_set(1.0)
     gpu.state.depth_test_set("NONE")
 

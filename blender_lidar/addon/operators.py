@@ -30,16 +30,19 @@ from ..world.blender.objects import (
     SENSOR,
     SETTINGS,
     STANDING,
-    build_road,
     build_scenery,
     collection,
     dress,
+    frame_of,
     lidars,
     new_lidar,
     remove_orphans,
+    road_frame,
     role,
+    to_road,
 )
 from ..world.blender.points import show_cloud
+from ..world.blender.road import build_road
 from ..world.blender.site import open_scenery
 from ..world.blender.traffic import show_vehicles
 from ..world.scenery import Scenery
@@ -89,8 +92,8 @@ def show_traffic(scene: bpy.types.Scene, recording: Recording, frame: int, scene
     """Show the road, what a scene file has standing there, and the frame of a recording nearest to a number."""
     group = scene.blender_lidar
     scenario = session.scenario_from(scene)
-    reach, road = max(_LEAST_REACH_M, scenario.sensor.range_gate_m), scenario.road_map
-    build_road(scene, road, road.stretch(scenario.deployment.nominal_xy, reach))
+    reach = max(_LEAST_REACH_M, scenario.sensor.range_gate_m)
+    build_road(scene, scenario.road_map, scenario.deployment.nominal_xy, reach)
     build_scenery(scene, scenery)
     for item in collection(scene, "Scenery", STANDING).objects:
         item.hide_select = True  # it shows what the file says; moving it would move nothing that is scanned
@@ -189,7 +192,7 @@ class LIDAR_OT_step_frame(NeedsTraffic, bpy.types.Operator):
 
 def add_lidar(scene: bpy.types.Scene, pose: Pose) -> bpy.types.Object:
     """A new LiDAR at a mounting, dressed, with the usual sensor."""
-    lidar = new_lidar(collection(scene, "LiDAR", SENSOR), pose)
+    lidar = new_lidar(scene, pose)
     lidar.lidar.schema = properties.SCHEMA
     dress(lidar, lattice_of(session.sensor_of(lidar)))
     scene.blender_lidar.active = lidar.name
@@ -198,6 +201,7 @@ def add_lidar(scene: bpy.types.Scene, pose: Pose) -> bpy.types.Object:
 
 def select(context: bpy.types.Context, lidar: bpy.types.Object) -> None:
     """Select a LiDAR alone and make it active, so that G moves it."""
+    context.view_layer.update()  # which may not know a new one yet
     if lidar.name in context.view_layer.objects:
         for item in context.selected_objects:
             item.select_set(False)
@@ -218,7 +222,7 @@ class LIDAR_OT_add(bpy.types.Operator):
         into = collection(scene, "LiDAR", SENSOR)
         if not _shows(context.view_layer.layer_collection, into):
             raise InputError(f"collection {into.name} is excluded from this view layer; tick it in the Outliner")
-        x, y, z = scene.cursor.location
+        x, y, z, _ = to_road(scene) @ [*scene.cursor.location, 1.0]
         place = {"x_m": x, "y_m": y, "height_m": max(z, properties.exact(scene.blender_lidar.baseline.height_m))}
         select(context, add_lidar(scene, mounting_from(place, properties.road_of(scene)).pose))
         return {"FINISHED"}
@@ -253,12 +257,15 @@ def adopt(scene: bpy.types.Scene) -> None:
     stored = scene.get(SETTINGS)
     if stored and scene.blender_lidar.schema == 0:
         _fill_from(scene)
-    for lidar in lidars(scene):
+    found, carried = lidars(scene), frame_of(scene) is not None
+    if found:
+        road_frame(scene)
+    for lidar in found:
         if lidar.lidar.schema == 0:
             if SETTINGS in lidar:
                 session.fill_lidar(lidar, *_stored(lidar))
             lidar.lidar.schema = properties.SCHEMA
-        if not any(role(child) == PART for child in lidar.children):
+        if not carried or not any(role(child) == PART for child in lidar.children):
             dress(lidar, lattice_of(session.sensor_of(lidar)))
 
 

@@ -9,7 +9,6 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
 from typing import NamedTuple, get_origin
 
 import bpy
@@ -339,7 +338,7 @@ def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None) -> Mountin
     Raises
     ------
     InputError
-        For a LiDAR that is mirrored.
+        For a LiDAR that is mirrored, or a road frame that is tilted or scaled.
     """
     road = road_of(scene_of(lidar)) if road is None else road
     filed = kept_of(lidar.lidar).tables.get("deployment", {})
@@ -348,28 +347,32 @@ def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None) -> Mountin
     return mounting_from({key: round(table[key], _POSE_DIGITS) + 0.0 for key in COORDINATES}, road, hung)
 
 
-def straight_road(scene: bpy.types.Scene | None) -> StraightRoad:
+def road_table(scene: bpy.types.Scene | None) -> dict[str, object]:
     """[road] of a scene: as its file has it, changed as the panel's fields say."""
     if scene is None:
-        return StraightRoad()
+        return {}
     kept, fields = kept_of(scene.blender_lidar), values_of(scene.blender_lidar.road, _ROAD)
     changes = changed(kept, {"road": fields})
-    return StraightRoad(**kept.tables.get("road", {}) | {key: value for (_, key), (value, _) in changes.items()})
+    return kept.tables.get("road", {}) | {key: value for (_, key), (value, _) in changes.items()}
 
 
 def road_of(scene: bpy.types.Scene | None) -> RoadMap:
     """The road of a scene, as a map."""
-    return road_map(straight_road(scene))
+    return _map_of(road_table(scene))
+
+
+def _map_of(table: dict[str, object]) -> RoadMap:
+    return road_map(StraightRoad(**table))
 
 
 def hang_as_they_are(scene: bpy.types.Scene) -> None:
     """Take a scene's LiDARs for hung beside its road as it is now."""
-    scene.blender_lidar.hung_on = json.dumps(asdict(straight_road(scene)))
+    scene.blender_lidar.hung_on = json.dumps(road_table(scene))
 
 
 def hang_again(scene: bpy.types.Scene) -> None:
     """Hang a scene's LiDARs by their coordinates beside its road as it is now; mirrored ones have none."""
-    before, now = road_map(StraightRoad(**json.loads(scene.blender_lidar.hung_on))), road_of(scene)
+    before, now = _map_of(json.loads(scene.blender_lidar.hung_on)), road_of(scene)
     hang_as_they_are(scene)
     for lidar in lidars(scene):
         if lidar.users_scene[0] == scene:

@@ -17,6 +17,7 @@ from .objects import (
     add_object,
     clear,
     collection,
+    frame_of,
     new_mesh,
     only_for_the_eye,
     plain,
@@ -42,10 +43,9 @@ def show_detections(scene: bpy.types.Scene, boxes: DetectedBoxes | None) -> None
     Every vertex has the attributes `kind`, an index into `KINDS`, and `confidence`; of each box the first eight are its
     corners.
     """
-    into = collection(scene, _NAME, DETECTION_ROLE)
-    clear(into)
+    clear(collection(scene, _NAME, DETECTION_ROLE))
     if boxes is not None:
-        _new_boxes(into, _NAME, boxes)
+        _new_boxes(scene, _NAME, boxes)
 
 
 def animate_detections(
@@ -63,11 +63,10 @@ def animate_detections(
         Time between consecutive frame numbers [s].
     """
     show_detections(scene, None)
-    into = collection(scene, _NAME, DETECTION_ROLE)
     for number, following in pairwise([*frames, None]):
         if number not in of_frame:
             continue
-        item = _new_boxes(into, f"{_NAME} {number}", of_frame[number])
+        item = _new_boxes(scene, f"{_NAME} {number}", of_frame[number])
         first = shown_at(number, frames[0], time_step_s, scene.render.fps)
         if number != frames[0]:
             key_visibility(item, shown=False, at=scene.frame_start)
@@ -78,7 +77,7 @@ def animate_detections(
     scene.frame_set(scene.frame_start)
 
 
-def _new_boxes(into, name, boxes):
+def _new_boxes(scene, name, boxes):
     vertices = place(_VERTICES, boxes.centre_m, boxes.size_m, boxes.heading_rad)
     first = len(_VERTICES) * np.arange(len(vertices))
     mesh = new_mesh(
@@ -90,7 +89,7 @@ def _new_boxes(into, name, boxes):
     )
     for attribute in ("kind", "confidence"):
         add_attribute(mesh, attribute, np.repeat(getattr(boxes, attribute), len(_VERTICES)))
-    item = add_object(into, name, mesh)
+    item = add_object(collection(scene, _NAME, DETECTION_ROLE), name, mesh, parent=frame_of(scene))
     item.modifiers.new("Wire", "WIREFRAME").thickness = _BAR_M
     only_for_the_eye(item)
     return item

@@ -1,8 +1,7 @@
-"""Blender objects of a scene: roles, mesh data-blocks, materials, road, scenery, and the mounted LiDAR."""
+"""Blender objects of a scene: roles, the road frame, mesh data-blocks, materials, scenery, and the mounted LiDAR."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
@@ -11,10 +10,9 @@ import numpy as np
 from mathutils import Euler, Matrix
 
 from ...errors import InputError
-from ...road.road_map import RoadMap
 from ...sensors.beams import BeamLattice, beam_directions
 from ...sensors.pose import Pose, tilts_of
-from ..meshes import GLASS, PAINT, ROAD, STRUCTURE, tube
+from ..meshes import GLASS, PAINT, STRUCTURE, tube
 from ..scenery import Scenery
 
 # --- What an object of ours stands for, kept in a custom property, so that a scene can be read back and shown again -
@@ -24,6 +22,7 @@ VEHICLE_ID, SHAPE = "vehicle_id", "shape"  # further ones of vehicles
 VEHICLE, ROAD_ROLE, MARKING, STANDING = "vehicle", "road", "marking", "scenery"
 SENSOR, PART, FAN, CLOUD, STAGE = "lidar", "lidar part", "beam fan", "cloud", "stage"
 DETECTION_ROLE = "detections"
+FRAME = "road frame"
 # What a LiDAR would not meet: paint, its own pole, what it has measured and what was found in that.
 DISPLAY_ONLY = (MARKING, SENSOR, PART, FAN, CLOUD, DETECTION_ROLE)
 _WORN = (PART, FAN, CLOUD)
@@ -59,11 +58,15 @@ def collection(scene: bpy.types.Scene, name: str, of: str) -> bpy.types.Collecti
 
 
 def add_object(
-    into: bpy.types.Collection, name: str, data: bpy.types.ID | None, of: str | None = None
+    into: bpy.types.Collection,
+    name: str,
+    data: bpy.types.ID | None,
+    of: str | None = None,
+    parent: bpy.types.Object | None = None,
 ) -> bpy.types.Object:
     """A new object in a collection, of that collection's role unless another is said."""
     made = bpy.data.objects.new(name, data)
-    made[KEY] = of or role(into)
+    made[KEY], made.parent = of or role(into), parent
     into.objects.link(made)
     return made
 
@@ -74,8 +77,8 @@ def only_for_the_eye(item: bpy.types.Object) -> None:
 
 
 def clear(from_collection: bpy.types.Collection) -> None:
-    """Remove our objects from a collection."""
-    _remove([item for item in from_collection.objects if role(item) is not None])
+    """Remove our objects from a collection, but for the road frame."""
+    _remove([item for item in from_collection.objects if role(item) not in (None, FRAME)])
 
 
 def _remove(objects: Sequence[bpy.types.Object]) -> None:
@@ -85,24 +88,84 @@ def _remove(objects: Sequence[bpy.types.Object]) -> None:
     bpy.data.batch_remove([item for item in data if item.users == 0])
 
 
+# --- The road frame: an empty that carries what we show of a site, wherever it lies in the user's world ---------------
+
+_FRAME_KEY = "blender_lidar_frame"  # custom property of a scene: its road frame, so that no copy is taken for it
+_FRAME_AXES_M = 3.0
+_SAME_AXES = 1e-5
+
+
+def frame_of(scene: bpy.types.Scene | None) -> bpy.types.Object | None:
+    """A scene's road frame; None where it has none."""
+    frame = None if scene is None else scene.get(_FRAME_KEY)
+    return frame if frame is not None and scene.objects.get(frame.name) == frame else None  # a deleted one is kept
+
+
+def road_frame(scene: bpy.types.Scene) -> bpy.types.Object:
+    """A scene's road frame, made where there is none; what is ours and had none yet, or lost its own, is put on it."""
+    frame = frame_of(scene)
+    made = frame is None
+    if made:
+        frame = scene[_FRAME_KEY] = add_object(collection(scene, "Road", ROAD_ROLE), "Road", None, FRAME)
+        frame.empty_display_type, frame.empty_display_size = "ARROWS", _FRAME_AXES_M
+        frame.lock_scale, frame.lock_rotation = (True, True, True), (True, True, False)
+    for item in scene.objects:
+        alone = _is_lost(item.parent) if item.parent else made
+        if alone and item.library is None and role(item) not in (None, FRAME, *_WORN):
+            item.parent = frame
+    return frame
+
+
+def _is_lost(parent: bpy.types.Object) -> bool:
+    """Whether an object is a road frame that was deleted, or that came along with what was appended."""
+    return role(parent) == FRAME and not parent.users_scene
+
+
+def to_road(scene: bpy.types.Scene | None, depsgraph: bpy.types.Depsgraph | None = None) -> np.ndarray:
+    """What takes places of a scene's world to its road frame, (4, 4) for columns.
+
+    Raises
+    ------
+    InputError
+        For a road frame that is tilted, scaled or mirrored.
+    """
+    frame = frame_of(scene)
+    if frame is None:
+        return np.eye(4)
+    matrix = np.array(_world_of(frame if depsgraph is None else frame.evaluated_get(depsgraph)))
+    angle = math.atan2(matrix[1, 0], matrix[0, 0])
+    cos, sin = math.cos(angle), math.sin(angle)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    if not np.abs(matrix[:3, :3] - turn).max() < _SAME_AXES:
+        raise InputError(f"{frame.name}: is tilted, scaled or mirrored; allowed: moved, and turned about z")
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = turn.T, -matrix[:3, 3] @ turn
+    return found
+
+
+def _world_of(item: bpy.types.Object) -> Matrix:
+    """An object's transform, where it is free as it is now, not as Blender evaluated it last."""
+    return item.matrix_world if item.parent or item.constraints else item.matrix_basis
+
+
 # --- Mesh data-blocks from arrays, in a few calls for any size -------------------------------------
 
 
 def new_mesh(
     name: str,
     vertices: np.ndarray,
-    faces: np.ndarray,
+    faces: np.ndarray | Sequence[np.ndarray],
     materials: Sequence[bpy.types.Material] = (),
     material_index: np.ndarray | None = None,
 ) -> bpy.types.Mesh:
-    """A mesh of polygons that all have the same number of corners.
+    """A mesh of polygons.
 
     Parameters
     ----------
     name : str
     vertices : ndarray, (n, 3)
         Positions [m, object frame]; stored as float32.
-    faces : ndarray of int, (m, corners)
+    faces : ndarray of int, (m, corners), or sequence of ndarray
         Vertices of each polygon, counter-clockwise seen from outside; (0, 3) for a cloud of points.
     materials : sequence of Material
         Its material slots.
@@ -113,12 +176,13 @@ def new_mesh(
     mesh.vertices.add(len(vertices))
     mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices, dtype=np.float32).ravel())
     if len(faces):
-        corners = faces.shape[1]
-        mesh.loops.add(faces.size)
-        mesh.loops.foreach_set("vertex_index", np.ascontiguousarray(faces, dtype=np.int32).ravel())
+        corners = np.array([len(face) for face in faces], dtype=np.int32)
+        loops = faces.ravel() if isinstance(faces, np.ndarray) else np.concatenate(faces)
+        mesh.loops.add(len(loops))
+        mesh.loops.foreach_set("vertex_index", np.ascontiguousarray(loops, dtype=np.int32))
         mesh.polygons.add(len(faces))
-        mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, corners, dtype=np.int32))
-        mesh.polygons.foreach_set("loop_total", np.full(len(faces), corners, dtype=np.int32))
+        mesh.polygons.foreach_set("loop_start", (np.cumsum(corners) - corners).astype(np.int32))
+        mesh.polygons.foreach_set("loop_total", corners)
         mesh.polygons.foreach_set("use_smooth", np.zeros(len(faces), dtype=bool))  # Blender 4.1 on shades smoothly
     for material in materials:
         mesh.materials.append(material)
@@ -146,7 +210,6 @@ CLASS_COLOURS = {
     "motorcycle": (0.50, 0.06, 0.10),
 }
 GLASS_COLOUR = (0.012, 0.016, 0.02)
-ASPHALT, VERGE, LINE = (0.045, 0.047, 0.05), (0.10, 0.125, 0.07), (0.75, 0.75, 0.72)
 CONCRETE, METAL, HEAD, BEAM = (0.34, 0.33, 0.31), (0.30, 0.31, 0.33), (0.02, 0.02, 0.025), (0.9, 0.12, 0.08)
 
 SURFACE_KEY = "blender_lidar_surface"  # custom property: index into `shapes.SURFACES`
@@ -203,52 +266,7 @@ def glass() -> bpy.types.Material:
     return plain("Glass", GLASS_COLOUR, GLASS, 0.05)
 
 
-# --- The road: carriageway, shoulders and verge as one plane, lane lines on it, and what stands beside it -
-
-_SHOULDER_M = 2.0
-_VERGE_M = 60.0  # beyond the shoulders
-_LINE_WIDTH_M, _DASH_M, _DASH_EVERY_M = 0.12, 3.0, 12.0  # MUTCD: 10 ft lines and 30 ft gaps
-_LINE_ABOVE_M = 0.01  # high enough not to flicker, seen from afar
-
-
-def build_road(scene: bpy.types.Scene, road: RoadMap, s_m: tuple[float, float]) -> None:
-    """The road between two stations [m], with its crown and lane lines, and the plane z = 0 beside it.
-
-    It takes the place of an earlier one.
-    """
-    into = collection(scene, "Road", ROAD_ROLE)
-    clear(into)
-    edges, between = (np.array([road.locate(line[:1]).t_m[0] for line in lines]) for lines in road.lines(s_m))
-    carriageways = np.sort(edges).reshape(-1, 2)
-    asphalt, verges, free = [], [], carriageways[0, 0] - _VERGE_M
-    half_medians = 0.5 * (carriageways[1:, 0] - carriageways[:-1, 1])
-    shoulders = np.minimum(_SHOULDER_M, [_SHOULDER_M, *half_medians, _SHOULDER_M])
-    for (low, high), right, left in zip(carriageways, shoulders[:-1], shoulders[1:], strict=True):
-        verges.append((free, low - right))
-        crown = [] if road.surface.is_flat else [low, 0.5 * (low + high), high]
-        asphalt += itertools.pairwise([low - right, *crown, high + left])
-        free = high + left
-    verges.append((free, carriageways[-1, 1] + _VERGE_M))
-    long = [(*s_m, *ends) for ends in verges if ends[1] - ends[0] > _LINE_ABOVE_M]
-    add_object(into, "Verge", _strips("Verge", road, long, plain("Verge", VERGE, roughness=1.0)))
-    long = [(*s_m, *ends) for ends in asphalt]
-    add_object(into, "Surface", _strips("Surface", road, long, plain("Asphalt", ASPHALT, ROAD, 0.9)))
-
-    half = 0.5 * _LINE_WIDTH_M
-    starts = np.arange(s_m[0], s_m[1] - _DASH_M, _DASH_EVERY_M).tolist()
-    painted = [(*s_m, t - half, t + half) for t in edges]
-    painted += [(s, s + _DASH_M, t - half, t + half) for t in between for s in starts]
-    lines = _strips("Lane lines", road, painted, plain("Lane line", LINE), _LINE_ABOVE_M)
-    add_object(into, "Lane lines", lines, MARKING)
-
-
-def _strips(name, road, strips, material, above_m=0.0):
-    """A mesh of quads from station to station and from offset to offset [m], (first, last, right, left) each."""
-    first, last, right, left = np.array(strips, dtype=float).T
-    corners = np.stack([road.at(s, t) for s, t in ((first, right), (last, right), (last, left), (first, left))], axis=1)
-    vertices = corners.reshape(-1, 2)
-    vertices = np.column_stack([vertices, road.surface.height(vertices) + above_m])
-    return new_mesh(name, vertices, np.arange(len(vertices)).reshape(-1, 4), [material])
+# --- What stands beside the road ------------------------------------------------------------------------------------
 
 
 def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
@@ -266,7 +284,7 @@ def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
         middle = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))  # float32 is finest about an object
         vertices, faces = np.unique((corners - middle).reshape(-1, 3), axis=0, return_inverse=True)
         mesh = new_mesh(name, vertices, faces.reshape(-1, 3), materials, scenery.surface[own] == GLASS)
-        add_object(into, name, mesh).location = middle
+        add_object(into, name, mesh, parent=frame_of(scene)).location = middle
 
 
 # --- The mounted LiDAR: an empty whose axes are those of the sensor frame; pole, head and fan are its children -------
@@ -280,20 +298,18 @@ _AZIMUTHS_RAD = (-math.pi / 3.0, 0.0, math.pi / 3.0)  # of the fan: across the r
 
 def build_lidar(scene: bpy.types.Scene, lattice: BeamLattice, pose: Pose) -> bpy.types.Object:
     """A LiDAR at a mounting, in place of earlier ones: an empty whose axes are those of the sensor frame."""
-    into = collection(scene, "LiDAR", SENSOR)
-    clear(into)
-    lidar = new_lidar(into, pose)
+    clear(collection(scene, "LiDAR", SENSOR))
+    lidar = new_lidar(scene, pose)
     dress(lidar, lattice)
     return lidar
 
 
-def new_lidar(into: bpy.types.Collection, pose: Pose) -> bpy.types.Object:
+def new_lidar(scene: bpy.types.Scene, pose: Pose) -> bpy.types.Object:
     """A LiDAR's empty at a mounting, still without pole, head and fan."""
-    lidar = add_object(into, "LiDAR", None, SENSOR)
+    lidar = add_object(collection(scene, "LiDAR", SENSOR), "LiDAR", None, parent=road_frame(scene))
     lidar.empty_display_type, lidar.empty_display_size = "ARROWS", _AXES_M
     lidar.lock_scale = (True, True, True)
-    lidar.rotation_mode = "XYZ"
-    lidar.matrix_world = sensor_matrix(pose)
+    hang(lidar, pose)
     return lidar
 
 
@@ -309,12 +325,14 @@ def dress(lidar: bpy.types.Object, lattice: BeamLattice) -> None:
     pole = add_object(into, "Pole", _cylinder("Pole", _POLE_RADIUS_M, -1.0, 0.0, metal), PART)
     upright = pole.constraints.new("LIMIT_ROTATION")
     upright.use_limit_x = upright.use_limit_y = True
-    length = pole.driver_add("scale", 2).driver  # from below the head down to z = 0
-    for name, transform in (("height", "LOC_Z"), ("scale", "SCALE_Z")):
+    length = pole.driver_add("scale", 2).driver  # from below the head down to z = 0 of the road
+    frame = frame_of(_scene_of(lidar))
+    of = {"height": (lidar, "LOC_Z"), "scale": (lidar, "SCALE_Z")} | ({"road": (frame, "LOC_Z")} if frame else {})
+    for name, (item, transform) in of.items():
         variable = length.variables.new()
         variable.name, variable.type = name, "TRANSFORMS"
-        variable.targets[0].id, variable.targets[0].transform_type = lidar, transform
-    length.expression = "max(height, 0.001) / max(scale, 0.001)"
+        variable.targets[0].id, variable.targets[0].transform_type = item, transform
+    length.expression = f"max(height{' - road' if frame else ''}, 0.001) / max(scale, 0.001)"
     fan = add_object(into, "Beam fan", _fan(lattice), FAN)
     for child in (head, pole, fan):
         child.parent = lidar
@@ -328,7 +346,7 @@ def pose_of(lidar: bpy.types.Object) -> Pose:
     Raises
     ------
     InputError
-        For a LiDAR that is mirrored.
+        For a LiDAR that is mirrored, or a road frame that is tilted or scaled.
     """
     matrix = matrix_of(lidar)
     place, turn, _ = matrix.decompose()
@@ -338,8 +356,23 @@ def pose_of(lidar: bpy.types.Object) -> Pose:
 
 
 def matrix_of(lidar: bpy.types.Object) -> Matrix:
-    """A LiDAR's transform, where it is free as it is now, not as Blender evaluated it last."""
-    return lidar.matrix_world if lidar.parent or lidar.constraints else lidar.matrix_basis
+    """A LiDAR's transform in the road frame, as it is now unless other objects have a say in it.
+
+    Raises
+    ------
+    InputError
+        For a road frame that is tilted or scaled.
+    """
+    scene = _scene_of(lidar)
+    into, frame = to_road(scene), frame_of(scene)
+    if frame is not None and lidar.parent == frame and not lidar.constraints:  # its world has fewer digits
+        return lidar.matrix_parent_inverse @ lidar.matrix_basis
+    return Matrix(into @ np.array(_world_of(lidar)))
+
+
+def _scene_of(item: bpy.types.Object) -> bpy.types.Scene | None:
+    """The first scene that an object is in."""
+    return next(iter(item.users_scene), None)
 
 
 def orphans(scene: bpy.types.Scene) -> list[bpy.types.Object]:
@@ -354,9 +387,11 @@ def remove_orphans(scene: bpy.types.Scene) -> None:
 
 def hang(lidar: bpy.types.Object, pose: Pose) -> None:
     """Move a LiDAR to a mounting."""
-    if lidar.parent:
-        lidar.matrix_world = sensor_matrix(pose)
+    scene = _scene_of(lidar)
+    if lidar.parent != frame_of(scene):
+        lidar.matrix_world = Matrix(np.linalg.inv(to_road(scene))) @ sensor_matrix(pose)
         return
+    lidar.matrix_parent_inverse.identity()
     lidar.rotation_mode = "XYZ"
     lidar.location, lidar.rotation_euler = pose.position, (-pose.tilt_x, -pose.tilt_y, pose.yaw)
 

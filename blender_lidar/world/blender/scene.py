@@ -29,16 +29,17 @@ from .objects import (
     STAGE,
     add_object,
     build_lidar,
-    build_road,
     build_scenery,
     clear,
     collection,
+    frame_of,
     made_once,
     role,
     set_inputs,
 )
 from .points import show_cloud
 from .quiet import first_error, quiet
+from .road import build_road, middle_of
 from .traffic import animate, show_vehicles
 
 # --- Cameras, light and viewports: a scene that looks right without touching a setting --------------------
@@ -63,19 +64,18 @@ def build_stage(scene: bpy.types.Scene, road: RoadMap, pose: Pose, depth_m: floa
     depth_m : float
         How much of the road the camera above takes in, along it, at the far edge of the carriageway [m].
     """
-    into = collection(scene, "Cameras and light", STAGE)
+    into, frame = collection(scene, "Cameras and light", STAGE), frame_of(scene)
     clear(into)
-    at = road.locate(pose.position[None])
-    middle = Vector((*road.at(at.s_m[0], np.mean(road.edges_t)).tolist(), 0.0))
+    middle = Vector((*middle_of(road, pose.position[:2], depth_m).tolist(), 0.0))
     x, y, _ = middle - Vector((pose.x_m, pose.y_m, 0.0))
     facing = math.atan2(y, x) if x or y else 0.5 * math.pi  # one over the middle of the road looks to its left
     turn = Matrix.Rotation(facing - 0.5 * math.pi, 3, "Z")
     above = middle + depth_m * (turn @ Vector(_ABOVE))
-    camera = _camera(into, ABOVE, above, middle, 50.0)
+    camera = _camera(into, frame, ABOVE, above, middle, 50.0)
     mount = Vector(pose.position.tolist()) + Vector((0.0, 0.0, _OVER_HEAD_M))
     looks = turn @ Vector((0.0, math.cos(_LOOKS_DOWN_RAD), -math.sin(_LOOKS_DOWN_RAD)))
-    _camera(into, FROM_POLE, mount, mount + looks, 100.0)
-    sun = add_object(into, "Sun", bpy.data.lights.new("Sun", "SUN"))
+    _camera(into, frame, FROM_POLE, mount, mount + looks, 100.0)
+    sun = add_object(into, "Sun", bpy.data.lights.new("Sun", "SUN"), parent=frame)
     sun.data.energy, sun.data.angle = _SUN_STRENGTH, math.radians(1.5)
     sun.rotation_euler = Vector(_SUN_DIRECTION).to_track_quat("-Z", "Y").to_euler()
     if scene.camera is None:  # one of the user's own stays
@@ -94,8 +94,8 @@ def show_in_viewports(scene: bpy.types.Scene) -> None:
             space.region_3d.view_perspective, space.region_3d.view_camera_zoom = "CAMERA", _CAMERA_ZOOM
 
 
-def _camera(into, name, place, target, angle_deg):
-    camera = add_object(into, name, bpy.data.cameras.new(name))
+def _camera(into, frame, name, place, target, angle_deg):
+    camera = add_object(into, name, bpy.data.cameras.new(name), parent=frame)
     camera.location = place
     camera.rotation_euler = (target - place).to_track_quat("-Z", "Y").to_euler()
     camera.data.angle, camera.data.clip_end = math.radians(angle_deg), _CLIP_END_M
@@ -239,7 +239,7 @@ def empty_scene() -> bpy.types.Scene:
 def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     """Build a moment in a scene, in place of one that was built there earlier; objects of others stay."""
     reach = max(_LEAST_REACH_M, moment.range_gate_m)
-    build_road(scene, moment.road, moment.road.stretch(moment.pose.position[:2], reach))
+    build_road(scene, moment.road, moment.pose.position[:2], reach)
     build_scenery(scene, moment.scenery)
     show_vehicles(scene, moment.vehicles, moment.detail)
     lidar = build_lidar(scene, moment.lattice, moment.pose)

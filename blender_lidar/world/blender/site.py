@@ -15,7 +15,7 @@ import numpy as np
 from ...errors import InputError, MissingFileError
 from ..meshes import STRUCTURE, SURFACES
 from ..scenery import Scenery, join
-from .objects import DISPLAY_ONLY, ROAD_ROLE, SURFACE_KEY, VEHICLE, role
+from .objects import DISPLAY_ONLY, ROAD_ROLE, SURFACE_KEY, VEHICLE, role, to_road
 from .quiet import first_error, quiet
 
 # --- Which Blender wrote a .blend file: older ones may crash on what a newer one has written, instead of saying so -
@@ -82,7 +82,7 @@ def visible_triangles(
     skip : callable, optional
         Called with each object; those for which it is true are left out too.
     keep : callable, optional
-        Called with the eight corners (8, 3) [m] of each object's and instance's bounding box, in the scene's frame;
+        Called with the eight corners (8, 3) [m] of each object's and instance's bounding box, in that frame;
         where it is false that one is left out. A forest may have far more triangles than stand within reach.
     layer : ViewLayer, optional
         As it shows the scene; the first if left out.
@@ -90,7 +90,13 @@ def visible_triangles(
     Returns
     -------
     Scenery
-        In the scene's own frame [m]; owners are the visible objects, and each instance is an owner of its own.
+        In the scene's road frame, its own where it has none [m]; owners are the visible objects, and each instance is
+        an owner of its own.
+
+    Raises
+    ------
+    InputError
+        For a road frame that is tilted or scaled.
     """
     layer = layer or scene.view_layers[0]
     layer.update()
@@ -115,7 +121,7 @@ def open_scenery(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Scenery:
     Raises
     ------
     InputError
-        If a vertex is not finite.
+        If a vertex is not finite, or the road frame is tilted or scaled.
     """
     found = visible_triangles(scene, lambda item: not is_own(item), layer=layer)
     if not np.isfinite(found.corners).all():
@@ -134,13 +140,14 @@ def visible_instances(
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray, np.ndarray]]:
     """What `visible_triangles` takes of an evaluated scene, one by one; each is gone when the next comes.
 
-    With each, what takes its points, as rows, into the scene's frame: ``points @ turn + move`` [m].
+    With each, what takes its points, as rows, into the road frame: ``points @ turn + move`` [m].
     """
     rendered, unit_m = set(_rendered_objects(scene.collection)), scene.unit_settings.scale_length
+    into = to_road(scene, depsgraph)
     for instance in depsgraph.object_instances:
         item = instance.object
         if item.type == "MESH" and role(item) not in DISPLAY_ONLY and wanted(item) and _is_seen(instance, rendered):
-            matrix = np.array(instance.matrix_world, dtype=float)
+            matrix = into @ np.array(instance.matrix_world, dtype=float)
             yield item, unit_m * matrix[:3, :3].T, unit_m * matrix[:3, 3]
 
 
@@ -214,9 +221,9 @@ _NOT_SCENERY = (*DISPLAY_ONLY, ROAD_ROLE, VEHICLE)  # of our own objects: the gr
 def read_site(path: str | Path, keep: Keep | None = None) -> Scenery:
     """The visible scenery of a .blend file or of a mesh file that Blender reads, in the file's own frame [m].
 
-    Of a .blend with several scenes the first by name counts. Where it was built by this package, its road, vehicles,
-    LiDAR and point cloud are left out, so that such a file can be given back with scenery added to it. Blender's own
-    data are afterwards as they were.
+    Of a .blend with several scenes the first by name counts. Where it was built by this package, it is read in its road
+    frame, and its road, vehicles, LiDAR and point cloud are left out, so that such a file can be given back with
+    scenery added to it. Blender's own data are afterwards as they were.
 
     Parameters
     ----------

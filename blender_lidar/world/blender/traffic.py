@@ -18,6 +18,7 @@ from .objects import (
     VEHICLE_ID,
     add_object,
     collection,
+    frame_of,
     glass,
     made_once,
     new_mesh,
@@ -39,11 +40,12 @@ def show_vehicles(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "bod
     list of Object
         One for each vehicle, in the frame's order.
     """
-    into = collection(scene, "Vehicles", VEHICLE)
+    into, frame = collection(scene, "Vehicles", VEHICLE), frame_of(scene)
     present = {(item[VEHICLE_ID], item[SHAPE]): item for item in into.objects if VEHICLE_ID in item}
     shown = []
     for (vehicle_id, name), centre, size, heading in _rows(vehicles):
-        item = present.pop((vehicle_id, f"{name} {detail}"), None) or _new_vehicle(into, vehicle_id, name, detail)
+        item = present.pop((vehicle_id, f"{name} {detail}"), None)
+        item = item or _new_vehicle(into, frame, vehicle_id, name, detail)
         item.animation_data_clear()
         item.hide_render = item.hide_viewport = False
         item.location, item.scale, item.rotation_euler = centre, size, (0.0, 0.0, heading)
@@ -78,7 +80,7 @@ def animate(scene: bpy.types.Scene, frames: Sequence[Vehicles], detail: str = "b
         Time between consecutive frame numbers [s].
     """
     show_vehicles(scene, frames[0].select(np.zeros(len(frames[0]), dtype=bool)), detail)
-    into = collection(scene, "Vehicles", VEHICLE)
+    into, frame = collection(scene, "Vehicles", VEHICLE), frame_of(scene)
     moving: dict[str, bpy.types.Object] = {}
     last_seen: dict[str, float] = {}
     start = frames[0].frame
@@ -88,7 +90,7 @@ def animate(scene: bpy.types.Scene, frames: Sequence[Vehicles], detail: str = "b
         for (vehicle_id, name), centre, size, heading in _rows(vehicles):
             item = moving.get(vehicle_id)
             if item is None:
-                moving[vehicle_id] = item = _new_vehicle(into, vehicle_id, name, detail)
+                moving[vehicle_id] = item = _new_vehicle(into, frame, vehicle_id, name, detail)
                 item.scale, item.rotation_euler.z = size, heading
                 key_visibility(item, shown=False, at=at - 1.0)
                 key_visibility(item, shown=True, at=at)
@@ -145,7 +147,7 @@ def _join_keys_by_straight_lines(item: bpy.types.Object) -> None:
         curve.update()
 
 
-def _new_vehicle(into, vehicle_id, name, detail):
+def _new_vehicle(into, frame, vehicle_id, name, detail):
     """A new object; all vehicles of a shape share a mesh."""
     title = f"{name} {detail}"
 
@@ -155,7 +157,7 @@ def _new_vehicle(into, vehicle_id, name, detail):
         paints = [paint_of("truck" if kind == "long_truck" else kind), glass()]
         return new_mesh(title, unit.vertices, unit.faces, paints, unit.surface == GLASS)
 
-    item = add_object(into, f"{name} {vehicle_id}", made_once(bpy.data.meshes, title, make))
+    item = add_object(into, f"{name} {vehicle_id}", made_once(bpy.data.meshes, title, make), parent=frame)
     item[VEHICLE_ID], item[SHAPE] = vehicle_id, title  # as texts: numbers would have to fit into 32 bits
     wear_own_paint(item)
     return item
