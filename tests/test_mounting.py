@@ -158,7 +158,7 @@ def test_all_three_angles_of_a_mounting_are_degrees():
 def test_a_site_of_traffic_that_was_read_already_is_the_same_and_reads_none(tmp_path, monkeypatch):
     scenario = load_scenario(write_scene(tmp_path))
     site, recordings = prepare(scenario), read_recordings(scenario)
-    monkeypatch.setattr(site_module, "read_traffic", None)
+    monkeypatch.setattr(site_module, "read_settings", None)
     again = prepare(scenario, recordings=recordings)
     assert again.identity == site.identity
     for one, other in zip((*site.search, *site.holdout), (*again.search, *again.holdout), strict=True):

@@ -10,10 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_lidar.road.road_map import RoadMap
+from blender_lidar.road.road_map import RoadMap, polygon_holds
 from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.scene.mount_checks import boxes_around, footprints_meet
-from blender_lidar.scene.region import polygon_holds
 from blender_lidar.scene.settings import BarrierSettings
 from blender_lidar.world.scenery import along_road, barrier
 

@@ -24,8 +24,9 @@ from bpy.props import (
 
 from ..errors import InputError
 from ..names import METRIC_NAMES
+from ..road.mapped import MappedRoad, map_of
 from ..road.road_map import RoadMap
-from ..road.straight import StraightRoad, road_map
+from ..road.straight import StraightRoad
 from ..scene.deployment import MOUNTING_OR_LEAN, SEARCHED
 from ..scene.mounting import COORDINATES, LEANS, Mounting, changed_mounting, hung_at, mounting_from
 from ..scene.settings import DECLARED, GATE
@@ -362,7 +363,12 @@ def road_of(scene: bpy.types.Scene | None) -> RoadMap:
 
 
 def _map_of(table: dict[str, object]) -> RoadMap:
-    return road_map(StraightRoad(**table))
+    maps = {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
+    if maps.get("driven"):
+        raise InputError(
+            "[road] driven: a driven area is made from the traffic; allowed in the panel: net or opendrive"
+        )
+    return map_of(MappedRoad(**maps) if {"net", "opendrive"} & maps.keys() else StraightRoad(**table))
 
 
 def hang_as_they_are(scene: bpy.types.Scene) -> None:

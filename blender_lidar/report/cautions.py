@@ -92,7 +92,9 @@ def lorries_text(result: Mapping) -> str:
     """Coverage with lorries alone in the nearest lane, the lane that loses most, and what would repair it."""
     other = result["other_traffic"]
     whole, repair = other["recorded"], other["repair"]
-    worst = next(mix for mix in other["mixes"] if mix["lorries"] == 1.0)
+    worst = next((mix for mix in other["mixes"] if mix["lorries"] == 1.0), None)
+    if worst is None:  # on a map
+        return ""
     if whole["detectable_share"] is None or worst["detectable_share"] is None:
         return ""
     after, before = map(_share_with_count, (worst, whole))

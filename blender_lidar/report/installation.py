@@ -29,6 +29,8 @@ def installation_text(site: Site, result: Mapping) -> str:
     falls = [f"{-math.degrees(math.asin(axis[2])) + 0.0:.1f} deg" for axis in (ahead, right)]
     road, standing = site.scenario.road, site.observation.scenery
     travel = "the direction of travel" + (f" on the {road.drives_on} carriageway" if road.carriageways == 2 else "")
+    along, across = (" along the road", " across it") if site.scenario.straight else ("", " in the site frame")
+    travel = travel if site.scenario.straight else "the nearest lane's direction"
     bearing = partial(_bearing, site, ahead_rad=site.scenario.road_map.direction(mounting.xy), travel=travel)
     at = pointing(site, mounting)
     modelled = standing is not None and len(standing.scenery.beside_road) > 0
@@ -40,7 +42,7 @@ def installation_text(site: Site, result: Mapping) -> str:
         f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor;",
         _above_foot(result),
         *_slopes(site),
-        f"Position     x {mount['x_m']:.2f} m along the road, y {mount['y_m']:.2f} m across it:",
+        f"Position     x {mount['x_m']:.2f} m{along}, y {mount['y_m']:.2f} m{across}:",
         f"             {_beside(site, mounting)}",
         f"On the map   x {at['x_m']:.2f} m, y {at['y_m']:.2f} m in the recording's coordinates ({at['frame']});",
         "             bearings below are clockwise from their +y, which is north where y points north",
@@ -112,7 +114,7 @@ def _beside(site, mounting):
     away, side = road.clearance(mounting.xy)
     if road.within(np.array([mounting.xy]))[0]:
         return f"over a lane, {abs(away):.2f} m from its {side} edge, seen in its direction of travel"
-    where = "in the median, " if site.scenario.road.side_of(mounting.xy) == "median" else ""
+    where = "in the median, " if site.scenario.in_median(mounting.xy) else ""
     return f"{where}{away:.2f} m from the edge of the nearest lane, to the {side} of its traffic"
 
 

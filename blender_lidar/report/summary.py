@@ -176,6 +176,13 @@ def region_text(region: Mapping) -> str:
         text = f"on the road from x {' and '.join(spans)} m"
         if any(one["lanes"] for one in region["stretches"]):
             text = text.replace("the road", "chosen lanes")
+    elif region["junction"] or region["approaches"] or region["lanes"]:
+        parts = [f"at junction {region['junction']}"] if region["junction"] else []
+        if region["approach_m"]:
+            named = ", ".join(region["approaches"] or ()) or ("all its approaches" if region["junction"] else "")
+            parts += [f"on the last {region['approach_m']:g} m of {named}"] if named else []
+        parts += [f"on lanes {', '.join(region['lanes'])}"] if region["lanes"] else []
+        text = " and ".join(parts)
     else:
         x, y = region["centre_m"]
         text = f"within {region['radius_m']:g} m of x {x:g} m, y {y:g} m"

@@ -12,6 +12,8 @@ import numpy as np
 from ..names import SIDES
 
 _ON_EDGE_M = 1e-9  # what lies this near to an edge lies on it
+_LARGEST_M = 1e9  # beyond all distances
+_MOST_PAIRS = 400_000  # of places and segments that are looked at together
 _BESIDE_M = 0.01  # far enough from an edge to lie on one side of it, across the gaps between the lanes of a bend
 
 
@@ -84,6 +86,48 @@ class Junction(NamedTuple):
     name: str
     outline_m: np.ndarray
     signalised: bool | None = None
+
+
+def polygon_holds(polygon: Sequence[Sequence[float]], xy: np.ndarray) -> np.ndarray:
+    """Point in polygon by the even-odd rule, its edge included: which of the points `xy` (n, 2) lie inside, (n,) bool.
+
+    `polygon` are its corners (m, 2) in the order of its outline, in the unit of the points.
+    """
+    start = np.asarray(polygon, dtype=float)
+    edge = np.roll(start, -1, axis=0) - start
+    x, y = (xy[:, None, axis] - start[:, axis] for axis in (0, 1))  # (n, m), of each point from each corner
+    crossed = (y < 0.0) != (y < edge[:, 1])  # edges that the level of the point meets; the lower end belongs to one
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inside = (crossed & (x < edge[:, 0] * (y / edge[:, 1]))).sum(axis=1) % 2 == 1
+        along = np.clip((x * edge[:, 0] + y * edge[:, 1]) / np.square(edge).sum(axis=1), 0.0, 1.0)
+    off = np.hypot(x - along * edge[:, 0], y - along * edge[:, 1])
+    return inside | (off <= _ON_EDGE_M).any(axis=1)
+
+
+class _Segments(NamedTuple):
+    """Segments of centre lines, (m,) each."""
+
+    start: np.ndarray  # (m, 2) [m]
+    along: np.ndarray  # (m, 2), unit vectors
+    length: np.ndarray
+    low: np.ndarray  # from where to where they go along themselves [m]
+    high: np.ndarray
+    half: np.ndarray  # (m, 2), half the width at both ends [m]
+    station: np.ndarray
+    direction: np.ndarray  # in which the lane drives [rad]
+    row: np.ndarray  # of its lane
+    first: np.ndarray  # (l,), the first segment of each lane
+
+
+class _Near(NamedTuple):
+    """Of n places and l lanes the nearest segment, and how a place lies on it, (n, l) each."""
+
+    segment: np.ndarray
+    s: np.ndarray  # from the segment's start, within its ends [m]
+    t: np.ndarray  # to its left [m]
+    away: np.ndarray  # from it [m]
+    half: np.ndarray  # half its width there [m]
+    outside: np.ndarray  # whether the lane does not hold the place
 
 
 class Surface(Protocol):
@@ -184,33 +228,31 @@ class RoadMap:
         Where lanes cross, as in a junction, the lane whose direction is nearest to `heading_rad` (n,) holds the place,
         and without one the lane whose middle is nearest.
         """
-        start, along, low, high, station, row = self._segments()
-        first, last = np.diff(row, prepend=-1) > 0, np.diff(row, append=len(self)) > 0
-        off = np.asarray(xy, dtype=float)[:, None, :2] - start  # (n, m, 2)
-        s = (off * along).sum(axis=-1)
-        t = along[:, 0] * off[..., 1] - along[:, 1] * off[..., 0]
-        beyond = s - s.clip(low, high)
-        away = np.hypot(t, beyond)
-        outside = away > 0.5 * self.width_m[row] + _ON_EDGE_M
-        outside |= (first & (beyond < -_ON_EDGE_M)) | (last & (beyond > _ON_EDGE_M))
-        direction = np.arctan2(along[:, 1], along[:, 0]) + math.pi * self.against[row]
-        of_lane = np.lexsort((away, outside, np.broadcast_to(row, away.shape)), axis=1)
-        nearest = of_lane[:, first]  # segment of each lane
-        away_of, outside_of = (np.take_along_axis(each, nearest, axis=1) for each in (away, outside))
-        turn = np.zeros_like(away_of)
-        if heading_rad is not None:
-            difference = wrap_angle(np.asarray(heading_rad)[:, None] - direction[nearest])
-            turn = np.where(outside_of, 0.0, np.abs(difference))
-        chosen = np.lexsort((away_of, turn, outside_of), axis=1)[:, :1]
-        best = np.take_along_axis(nearest, chosen, axis=1)[:, 0]
-        at = np.arange(len(best)), best
-        lane = np.where(outside[at], -1, row[best])
-        heading = wrap_angle(direction)[best]
-        return Located(lane, s.clip(low, high)[at] + station[best], t[at] + self.offset_m[row[best]], heading)
+        xy = np.asarray(xy, dtype=float)[:, :2]
+        pieces = self._segments()
+        parts, size = [], max(1, _MOST_PAIRS // len(pieces.row))
+        for first in range(0, max(len(xy), 1), size):
+            rows = slice(first, first + size)
+            near = self._near(pieces, xy[rows])
+            held = near.outside.copy()
+            turn = np.zeros_like(near.away)
+            if heading_rad is not None:
+                difference = wrap_angle(np.asarray(heading_rad)[rows, None] - pieces.direction[near.segment])
+                turn = np.where(held, 0.0, np.abs(difference))
+            chosen = np.lexsort((near.away, turn, held), axis=1)[:, 0]
+            at = np.arange(len(chosen)), chosen
+            best = near.segment[at]
+            lane = np.where(held[at], -1, pieces.row[best])
+            station, offset = pieces.station[best], self.offset_m[pieces.row[best]]
+            parts.append((lane, near.s[at] + station, near.t[at] + offset, pieces.direction[best]))
+        return Located(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def on(self, xy: np.ndarray) -> np.ndarray:
-        """Which places (n, 2) [m] lie on a lane, its edges included, (n,) bool."""
-        return self.locate(xy).lane >= 0
+        """Which places (n, 2) [m] lie on a lane or in a junction, edges included, (n,) bool."""
+        on = self.locate(xy).lane >= 0
+        for junction in self.junctions:
+            on |= polygon_holds(junction.outline_m, np.asarray(xy, dtype=float)[:, :2])
+        return on
 
     def at(self, s_m: np.ndarray, t_m: np.ndarray, lane: int = 0) -> np.ndarray:
         """Places at stations and offsets from the reference line of a lane, (..., 2) [m, site frame]."""
@@ -243,26 +285,39 @@ class RoadMap:
         return s - reach_m, s + reach_m
 
     def within(self, xy: np.ndarray) -> np.ndarray:
-        """Which places (n, 2) [m] lie on the lanes and not on the outer edge of them all, (n,) bool."""
+        """Which places (n, 2) [m] lie where vehicles drive, and not on the outer edge of it, (n,) bool."""
+        driven = self.driven
         around = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]) * _BESIDE_M
-        return self.on((np.asarray(xy)[:, None] + around).reshape(-1, 2)).reshape(-1, 4).all(axis=1)
+        places = (np.asarray(xy, dtype=float)[:, None, :2] + around).reshape(-1, 2)
+        return (driven.locate(places).lane >= 0).reshape(-1, 4).all(axis=1)
+
+    @property
+    def driven(self) -> RoadMap:
+        """The same with the lanes of vehicles and bicycles alone: masts may stand on footways."""
+        if all(lane.use != "pedestrians" for lane in self.lanes):
+            return self
+        return self._with(np.flatnonzero([lane.use != "pedestrians" for lane in self.lanes]))
 
     def nearest(self, xy: Sequence[float]) -> np.ndarray:
         """The nearest place on the middle of each lane, (l, 2) [m]."""
-        stations = (self._along(lane, xy)[0] for lane in range(len(self)))
-        return np.array([self.at(s, self.offset_m[lane], lane) for lane, s in enumerate(stations)])
+        pieces = self._segments()
+        near = self._near(pieces, np.array([xy], dtype=float))
+        best = near.segment[0]
+        return pieces.start[best] + near.s[0][:, None] * pieces.along[best]
 
     def clearance(self, xy: Sequence[float]) -> tuple[float, str]:
-        """How far a place lies from the nearest edge of a lane [m], below 0 on it, and on which side of its traffic."""
-        nearest = self._nearest_lane(xy)
-        off = self._along(nearest, xy)[1] - self.offset_m[nearest]
-        left = (off > 0.0) != bool(self.against[nearest])
-        return float(abs(off) - 0.5 * self.width_m[nearest]), "left" if left else "right"
+        """How far a place lies from the nearest edge of a lane that is driven on [m], below 0 on it, and on which side
+        of its traffic.
+        """
+        road = self.driven
+        lane, near = road._nearest_lane(xy)
+        left = (near.t[0, lane] > 0.0) != bool(road.against[lane])
+        return float(near.away[0, lane] - near.half[0, lane]), "left" if left else "right"
 
     def direction(self, xy: Sequence[float]) -> float:
         """Which way the stations of the nearest lane rise at a place, counter-clockwise from +x [rad]."""
-        lane = self._nearest_lane(xy)
-        return self._along(lane, xy)[2] + math.pi * self.against[lane]
+        lane, near = self._nearest_lane(xy)
+        return float(self._segments().direction[near.segment[0, lane]] + math.pi * self.against[lane])
 
     def edges_across(self, xy: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
         """The edges of the road across from a place on a lane, to the right and to the left of it, (2,) each [m]."""
@@ -289,9 +344,8 @@ class RoadMap:
         """
         polygons = []
         for lane in range(len(self)) if lanes is None else lanes:
-            line = self._between(lane, s_m)
+            line, half = self._between(lane, s_m)
             if len(line):
-                half = 0.5 * self.width_m[lane]
                 polygons.append(np.concatenate([_offset_curve(line, -half), _offset_curve(line, half)[::-1]]))
         return polygons
 
@@ -299,7 +353,7 @@ class RoadMap:
         """Edges of carriageways and lines between their lanes, as lines (k, 2) between two stations [m]."""
         edges, dashes = [], []
         for lane in range(len(self)):
-            line, half = self._between(lane, s_m), 0.5 * self.width_m[lane]
+            line, half = self._between(lane, s_m)
             if not len(line):
                 continue
             for side in (-half, half):
@@ -307,15 +361,15 @@ class RoadMap:
                 others = self._with(np.delete(np.arange(len(self)), lane))
                 if not len(others) or (others.locate(_offset_curve(line, 1.001 * side)).lane < 0).all():
                     edges.append(beside)
-                elif side > 0.0:  # one of both lanes draws it
+                elif side[0] > 0.0:  # one of both lanes draws it
                     dashes.append(beside)
         return edges, dashes
 
-    def _nearest_lane(self, xy: Sequence[float]) -> int:
+    def _nearest_lane(self, xy: Sequence[float]) -> tuple[int, _Near]:
         """The lane that holds a place, or else has the nearest edge."""
-        on = int(self.locate(np.array([xy])).lane[0])
-        off = np.array([self._along(lane, xy)[1] for lane in range(len(self))]) - self.offset_m
-        return int(np.argmin(np.abs(off) - 0.5 * self.width_m)) if on < 0 else on
+        near = self._near(self._segments(), np.array([xy], dtype=float))
+        away = np.where(near.outside, near.away - near.half, near.away - _LARGEST_M)[0]
+        return int(np.argmin(away)), near
 
     def _along(self, lane: int, xy: Sequence[float]) -> tuple[float, float, float]:
         """Station and offset of a place along one lane [m], on it or not, and which way the lane drives there [rad]."""
@@ -323,41 +377,76 @@ class RoadMap:
         return tuple(float(one[0]) for one in found)
 
     def _with(self, lanes: np.ndarray) -> RoadMap:
-        """The same road with some of its lanes alone."""
-        points = tuple(self.points_m[lane] for lane in lanes)
+        """The same road with some of its lanes alone, without what they lead to."""
+        kept = {
+            key: tuple(getattr(self, key)[lane] for lane in lanes) if getattr(self, key) else ()
+            for key in ("points_m", "widths_m", "lanes")
+        }
         return replace(
             self,
-            points_m=points,
+            **kept,
             station_m=self.station_m[lanes],
             offset_m=self.offset_m[lanes],
             width_m=self.width_m[lanes],
             against=self.against[lanes],
         )
 
-    def _segments(self) -> tuple[np.ndarray, ...]:
-        """All m segments: start (m, 2), direction (m, 2), from where to where along it, station, row of its lane."""
+    def _segments(self) -> _Segments:
+        """All m segments of the centre lines, lane by lane."""
         start = np.concatenate([line[:-1] for line in self.points_m])
         step = np.concatenate([np.diff(line, axis=0) for line in self.points_m])
         length = np.hypot(*step.T)
-        counts = [len(line) - 1 for line in self.points_m]
+        counts = np.array([len(line) - 1 for line in self.points_m])
         row, last = np.repeat(np.arange(len(self)), counts), np.cumsum(counts)
         low, high = np.zeros(len(length)), length.copy()
         if self.endless:
             low[last - counts], high[last - 1] = -np.inf, np.inf
         before = np.cumsum(length) - length
         station = before - before[last - counts][row] + self.station_m[row]
-        return start, step / length[:, None], low, high, station, row
+        half = 0.5 * np.stack([self.width_m[row]] * 2, axis=1)
+        if self.widths_m:
+            ends = [np.stack([width[:-1], width[1:]], axis=1) for width in self.widths_m]
+            half = 0.5 * np.concatenate(ends)
+        along = step / length[:, None]
+        direction = wrap_angle(np.arctan2(along[:, 1], along[:, 0]) + math.pi * self.against[row])
+        return _Segments(start, along, length, low, high, half, station, direction, row, last - counts)
 
-    def _between(self, lane: int, s_m: tuple[float, float] | None) -> np.ndarray:
-        """The centre line of a lane between two stations, (k, 2) [m]; nothing where it has no part there."""
-        return self.at(self.stations(s_m, lane), self.offset_m[lane], lane)
+    def _near(self, pieces: _Segments, xy: np.ndarray) -> _Near:
+        """Of each lane the segment that is nearest to each place (n, 2): one that holds it before the others."""
+        off = xy[:, None] - pieces.start  # (n, m, 2)
+        s = (off * pieces.along).sum(axis=-1)
+        t = pieces.along[:, 0] * off[..., 1] - pieces.along[:, 1] * off[..., 0]
+        held = s.clip(pieces.low, pieces.high)
+        beyond = s - held
+        away = np.hypot(t, beyond)
+        first, last = np.diff(pieces.row, prepend=-1) > 0, np.diff(pieces.row, append=len(self)) > 0
+        share = (held / pieces.length).clip(0.0, 1.0)
+        half = pieces.half[:, 0] + share * (pieces.half[:, 1] - pieces.half[:, 0])
+        outside = away > half + _ON_EDGE_M
+        outside |= (first & (beyond < -_ON_EDGE_M)) | (last & (beyond > _ON_EDGE_M))
+        rank = np.where(outside, away + _LARGEST_M, away)
+        least = np.minimum.reduceat(rank, pieces.first, axis=1)
+        at_least = np.where(rank == least[:, pieces.row], np.arange(len(pieces.row)), len(pieces.row))
+        segment = np.minimum.reduceat(at_least, pieces.first, axis=1)  # (n, l)
+        picked = (np.take_along_axis(each, segment, axis=1) for each in (held, t, away, half, outside))
+        return _Near(segment, *picked)
+
+    def _between(self, lane: int, s_m: tuple[float, float] | None) -> tuple[np.ndarray, np.ndarray]:
+        """The centre line of a lane between two stations, (k, 2), and half its width there, (k,) [m]; nothing where it
+        has no part there.
+        """
+        stations = self.stations(s_m, lane)
+        half = np.full(len(stations), 0.5 * self.width_m[lane])
+        if self.widths_m:
+            half = 0.5 * np.interp(stations, self.stations(lane=lane), self.widths_m[lane])
+        return self.at(stations, self.offset_m[lane], lane), half
 
 
-def _offset_curve(line: np.ndarray, offset_m: float) -> np.ndarray:
-    """Offset curve: a line (k, 2) moved to its left by so much [m], mitred at its corners."""
+def _offset_curve(line: np.ndarray, offset_m: np.ndarray) -> np.ndarray:
+    """Offset curve: a line (k, 2) moved to its left by so much, (k,) [m], mitred at its corners."""
     along = np.diff(line, axis=0)
     along /= np.hypot(*along.T)[:, None]
     left = np.stack([-along[:, 1], along[:, 0]], axis=1)
     before, after = np.concatenate([left[:1], left]), np.concatenate([left, left[-1:]])
     middle = before + after
-    return line + offset_m * middle / (0.5 * np.square(middle).sum(axis=1))[:, None]
+    return line + middle * (offset_m / (0.5 * np.square(middle).sum(axis=1)))[:, None]

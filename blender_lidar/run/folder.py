@@ -28,6 +28,7 @@ from ..files import (
     write_columns,
     write_text,
 )
+from ..scene.observation import WAY_COLUMNS
 from ..scene.provenance import check_identity
 from ..scene.scenario import Scenario
 from ..toml_table import to_toml
@@ -47,7 +48,7 @@ _SCENE_MARK = "# The scene as blender_lidar "  # how a scene file begins that a 
 # Columns of the score map, the last where there are several recordings.
 _BLOCK_OBJECTIVE, _BLOCK_VEHICLES, _BLOCK_RECORDING = "objective_block_", "vehicles_block_", "recording_block_"
 _KINDS = {  # of columns; the others hold floats
-    **dict.fromkeys(("class", "split"), str),
+    **dict.fromkeys(("class", "split", *WAY_COLUMNS), str),
     **dict.fromkeys(("frame", "vehicle_id", "points", "detectable", "lane"), np.int64),
 }
 _DECIMALS = {
@@ -247,7 +248,7 @@ class RunFolder:
         with refused_by_name(self.file(RESULT)):
             metric = self.result["metric"]
         with _columns_of(self.file(name)) as columns:
-            table = {key: columns[key] for key in columns_for(metric, WEIGHT in columns)}
+            table = {key: columns[key] for key in columns_for(metric, WEIGHT in columns, WAY_COLUMNS[0] in columns)}
             for key, values in table.items():
                 if _KINDS.get(key) is not str and not np.isfinite(values).all():
                     raise ValueError(f"column {key} holds what is no finite number")

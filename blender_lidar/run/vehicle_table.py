@@ -14,7 +14,7 @@ from ..metrics.catalogue import PE_VGOP, metric_named
 from ..metrics.vgop import entropy
 from ..optimise import vehicle_score
 from ..scene.mounting import Layout
-from ..scene.observation import first_zone
+from ..scene.observation import WAY_COLUMNS, first_zone
 from ..scene.settings import ObjectiveSettings
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
@@ -43,9 +43,9 @@ WEIGHT = "weight"
 """The column of how much a vehicle counts in the objective, where the scene has weights."""
 
 
-def columns_for(metric: str, weighted: bool = False) -> tuple[str, ...]:
-    """The columns of the table of a run with a metric, of a scene with weights or without."""
-    return VEHICLE_COLUMNS + (METRIC_VALUE,) * (metric != PE_VGOP.name) + (WEIGHT,) * weighted
+def columns_for(metric: str, weighted: bool = False, ways: bool = False) -> tuple[str, ...]:
+    """The columns of the table of a run with a metric, of a scene with weights and with ways or without."""
+    return VEHICLE_COLUMNS + (METRIC_VALUE,) * (metric != PE_VGOP.name) + (WEIGHT,) * weighted + WAY_COLUMNS * ways
 
 
 def metric_values(table: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -86,9 +86,10 @@ def vehicle_tables(layouts: Sequence[Layout], **splits: Evaluator) -> list[dict[
         parts = [
             _frame_table(frame.vehicles.select(frame.counted), layout, scored, row, split)
             | {WEIGHT: frame.counted_weight}
+            | {name: values[frame.counted] for name, values in (frame.ways or {}).items()}
             for frame, scored, split in found
         ]
-        names = columns_for(metric, weighted)
+        names = columns_for(metric, weighted, all(frame.ways is not None for frame, *_ in found))
         tables.append({name: np.concatenate([part[name] for part in parts]) for name in names})
     return tables
 
@@ -167,6 +168,12 @@ APPROACH, MOVEMENT = "approach", "movement"
 def approaches(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
     """Names of the approaches from which vehicles come, and which rows of a vehicle table each holds."""
     return [(str(name), table[APPROACH] == name) for name in np.unique(table[APPROACH]) if name]
+
+
+def _map_lanes(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
+    """Names of the map's lanes that hold vehicles, and which rows of a vehicle table each holds."""
+    names = table[WAY_COLUMNS[-1]]
+    return [(name or "off the lanes", names == name) for name in np.unique(names).tolist()]
 
 
 def movements(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
@@ -257,8 +264,10 @@ class BoxShares:
         found = {"distance": distance_bands(self.before), "lane": lanes(self.before), "class": classes(self.before)}
         found["zone"] = zones(self.before, objective) if objective.zones else []
         if APPROACH in self.before:
+            if any(self.before[WAY_COLUMNS[-1]]):
+                found["lane"] = _map_lanes(self.before)
             found |= {APPROACH: approaches(self.before), MOVEMENT: movements(self.before)}
-        if not self.before["lane"].any():
+        if "lane" in found and not self.before["lane"].any() and APPROACH not in self.before:
             del found["lane"]
         for by, groups in found.items():
             for name, chosen in groups:

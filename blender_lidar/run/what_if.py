@@ -136,8 +136,12 @@ class Mix(NamedTuple):
 def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
     """Lorries in the lanes nearest to a place, light traffic, rush hour and a queue.
 
-    Where most vehicles drive off the lanes of the road map, as at a crossing, lorries are in every lane alone.
+    Where most vehicles drive off the lanes of the road map, as at a crossing, lorries are in every lane alone. On a map
+    it is light traffic alone: how queues stand across its lanes is not modelled.
     """
+    light = Mix("light traffic", "a quarter of the vehicles", partial(thinned, share=_LIGHT), True)
+    if site.scenario.straight is None:
+        return [light]
     road, near = site.scenario.road_map, {1: "the nearest lane", 2: "the two nearest lanes"}
     frames = (*site.search, *site.holdout)
     centre, number = (
@@ -161,7 +165,6 @@ def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
         for count, name in (*lanes, (None, "every lane"))
         for share in LORRY_SHARES
     ]
-    light = Mix("light traffic", "a quarter of the vehicles", partial(thinned, share=_LIGHT), True)
     rush, queue = Mix("rush hour", "half the gaps", rush_hour, False), "gaps of {:g} to {:g} m".format(*JAM_GAPS_M)
     return [*found, light, rush, Mix("queue", queue, jammed, False)]
 
@@ -194,8 +197,8 @@ def other_traffic(site: Site, mounting: Mounting) -> dict[str, object]:
         rows.append(told | _coverage(changed, mounting))
         if near is None and mix.lorries == LORRY_SHARES[-1]:
             near = changed, rows[-1]
-    (lorries, seen), enough, repair = near, (whole["detectable_share"] or 0.0) - REPAIRED, None
-    if seen["interval_90"] and seen["detectable_share"] < enough:
+    (lorries, seen), enough, repair = near or (None, {}), (whole["detectable_share"] or 0.0) - REPAIRED, None
+    if seen.get("interval_90") and seen["detectable_share"] < enough:
         repair = _repair(lorries, mounting, enough)
     return {"frames": len(few.holdout), "recorded": whole, "mixes": rows, "repair": repair}
 

@@ -11,12 +11,15 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from ..names import SIDES
-from ..road.straight import StraightRoad, road_map
+from ..road.mapped import Road, map_of
+from ..road.straight import StraightRoad
 from ..toml_table import setting, settings_of
 from .mounting import ANGLES, LEANS, Layout, Mounting, mounting_from
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from ..road.road_map import RoadMap
 
 TURNS = ("yaw_deg", "lean_direction_deg", "spin_deg")  # of which 360 degrees are a full circle
 HEADING = {"low": -360.0, "high": 360.0}
@@ -156,16 +159,22 @@ class Place:
         Coordinates that stay [m, degrees]; those of the orientation are tilts and yaw, or lean, direction and spin.
     bounds : mapping of str to (float, float)
         The others, in the order of `MOUNTING_OR_LEAN`.
-    road : StraightRoad
+    road : Road
         What its mast stands on.
     pole : Pole or None
         The candidate pole that it is, if it is one.
+    map : RoadMap or None
+        The road, where it has been read already.
+    towards : (float, float) or None
+        The place that its mast faces from wherever it stands [m]; none where `fixed` says the direction.
     """
 
     fixed: Mapping[str, float]
     bounds: Mapping[str, tuple[float, float]]
-    road: StraightRoad = field(default=StraightRoad(), repr=False)
+    road: Road = field(default=StraightRoad(), repr=False)
     pole: Pole | None = None
+    map: RoadMap | None = field(default=None, repr=False, compare=False)
+    towards: tuple[float, float] | None = None
 
     def span(self, key: str) -> tuple[float, float]:
         """From where to where a coordinate may be; twice the same where it is fixed."""
@@ -183,8 +192,15 @@ class Place:
 
     def mounting(self, x: Sequence[float]) -> Mounting:
         """The mounting where the searched coordinates have the values `x`."""
-        searched = zip(self.bounds, map(float, x), strict=True)
-        return mounting_from({**self.fixed, **dict(searched)}, road_map(self.road))
+        table = {**self.fixed, **dict(zip(self.bounds, (float(one) for one in x), strict=True))}
+        if self.towards is not None:
+            table["facing_deg"] = facing_deg((table["x_m"], table["y_m"]), self.towards)
+        return mounting_from(table, map_of(self.road) if self.map is None else self.map)
+
+
+def facing_deg(xy: Sequence[float], towards: Sequence[float]) -> float:
+    """Which way a mast at a place faces that faces another one, counter-clockwise from +x [degrees]."""
+    return math.degrees(math.atan2(towards[1] - xy[1], towards[0] - xy[0]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,27 +267,41 @@ class Deployment:
         Candidate places, each searched by itself; none where x and y say the place.
     poles_file : str or None
         The table that they come from.
-    road : StraightRoad
+    road : Road
         What the masts stand on.
     side : str or None
         The side of the road, where the scene names it.
     clearance_m : float
         Least height over the lanes, on a gantry [m].
     faces_road : bool
-        Whether each mast faces the road from where it stands; else the direction in `fixed` holds for all.
+        Whether each mast faces the road from where it stands, on a map `middle_xy`; else the direction in `fixed` holds
+        for all.
+    map : RoadMap or None
+        The road, where it has been read already.
+    middle_xy : (float, float) or None
+        The middle of the region, on a map [m].
     """
 
     fixed: Mapping[str, float]
     bounds: Mapping[str, tuple[float, float]]
     poles: tuple[Pole, ...] = ()
     poles_file: str | None = None
-    road: StraightRoad = field(default=StraightRoad(), repr=False)
+    road: Road = field(default=StraightRoad(), repr=False)
     side: str | None = None
     clearance_m: float = 5.0
     faces_road: bool = False
+    map: RoadMap | None = field(default=None, repr=False, compare=False)
+    middle_xy: tuple[float, float] | None = None
+
+    @property
+    def road_map(self) -> RoadMap:
+        """Where the lanes and the surface are."""
+        return map_of(self.road) if self.map is None else self.map
 
     def facing_at(self, xy: Sequence[float]) -> float:
         """Which way a mast at a place [m] faces unless it says so itself [degrees]."""
+        if self.faces_road and self.middle_xy is not None:
+            return facing_deg(xy, self.middle_xy)
         if self.faces_road:
             return math.degrees(self.road.place(self.road.side_of(xy))[1])
         return self.fixed["facing_deg"]
@@ -289,14 +319,22 @@ class Deployment:
         fixed = {**self.fixed, "x_m": pole.x_m, "y_m": pole.y_m, "height_m": low}
         bounds = {**self.bounds, "height_m": (low, high)}
         (bounds if low == high else fixed).pop("height_m")
-        if pole.facing_deg is not None or self.faces_road:
-            fixed["facing_deg"] = self.facing_at((pole.x_m, pole.y_m)) if pole.facing_deg is None else pole.facing_deg
-        return Place(fixed, {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds}, self.road, pole)
+        towards = None
+        if pole.facing_deg is not None:
+            fixed["facing_deg"] = pole.facing_deg
+        elif self.faces_road and isinstance(self.road, StraightRoad):
+            fixed["facing_deg"] = self.facing_at((pole.x_m, pole.y_m))
+        elif self.faces_road:
+            towards = self.middle_xy
+        bounds = {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds}
+        return Place(fixed, bounds, self.road, pole, self.map, towards)
 
     @property
     def places(self) -> tuple[Place, ...]:
         """What is searched, candidate by candidate: each pole, or the one place."""
-        return tuple(map(self.at, self.poles)) or (Place(self.fixed, self.bounds, self.road),)
+        towards = self.middle_xy if self.faces_road else None
+        one = Place(self.fixed, self.bounds, self.road, map=self.map, towards=towards)
+        return tuple(self.at(pole) for pole in self.poles) or (one,)
 
     @property
     def spaces(self) -> tuple[SearchSpace, ...]:

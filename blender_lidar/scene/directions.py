@@ -66,7 +66,7 @@ def towards(site: Site, xy: tuple[float, float], direction: np.ndarray) -> str:
     lanes = road.nearest(xy)
     lane = int(np.argmin(np.hypot(*(lanes - xy).T)))
     off = _between_deg(direction, lanes[lane] - xy)
-    in_between = road.clearance(xy)[0] <= 0.0 or site.scenario.road.side_of(xy) == "median"
+    in_between = road.clearance(xy)[0] <= 0.0 or site.scenario.in_median(xy)
     if not in_between and not _ACROSS_DEG < off < 180.0 - _ACROSS_DEG:
         return "towards the road" if off <= _ACROSS_DEG else "away from the road"
     heading = float(road.locate(lanes[[lane]]).heading_rad[0])

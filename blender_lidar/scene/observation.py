@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,10 +11,10 @@ from ..casting.protocol import StandingScenery
 from ..errors import InputError
 from ..metrics.catalogue import PE_VGOP
 from ..metrics.metric import Field, FrameBoxes
+from ..road.road_map import polygon_holds
 from ..sensors.beams import BeamLattice
 from ..sensors.lidar import Lidar
 from ..traffic.vehicles import Vehicles
-from .region import polygon_holds
 from .settings import ObjectiveSettings
 
 
@@ -69,6 +69,10 @@ class Observation:
         return self if scenery is self.scenery else replace(self, scenery=scenery)
 
 
+WAY_COLUMNS = ("approach", "exit", "movement", "map_lane")
+"""Columns of a vehicle table, off straight roads: where a vehicle comes from and leaves, how it turns, its lane."""
+
+
 @dataclass(frozen=True, slots=True)
 class CountedFrame:
     """A frame, and which of its vehicles count; the others hide and are not scored.
@@ -81,11 +85,14 @@ class CountedFrame:
         Those that are scored.
     weight : ndarray, (v,), or None
         How much each counts in the objective; None where all weigh one.
+    ways : mapping of str to ndarray of str, (v,), or None
+        Approach, exit and movement of each, and the map's lane; None beside a straight road.
     """
 
     vehicles: Vehicles
     counted: np.ndarray
     weight: np.ndarray | None = None
+    ways: Mapping[str, np.ndarray] | None = None
 
     @property
     def counted_weight(self) -> np.ndarray:

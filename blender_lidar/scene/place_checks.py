@@ -54,7 +54,8 @@ class Placed:
         part = recording.where(np.bincount(near, minlength=len(recording)) > 0)
         at = road.locate(part.centre_m, part.heading_rad)
         heading = part.heading_rad - at.heading_rad
-        return cls(at.t_m, heading, part.vehicle_id, region.holds(part), at.lane >= 0, road.edges_t, region)
+        edges = road.edges_t if scenario.straight else (0.0, 0.0)
+        return cls(at.t_m, heading, part.vehicle_id, region.holds(part), at.lane >= 0, edges, region)
 
     @property
     def name(self) -> str:
@@ -72,6 +73,8 @@ class Placed:
 
 def carriageway(recording: Recording, scenario: Scenario, placed: Placed, heading_known: bool) -> str | None:
     """Vehicles that drive obliquely to the road, or almost none of the region on its carriageway."""
+    if scenario.straight is None:
+        return _off_map(recording, scenario, placed.region)
     inside, stretches = placed.inside, scenario.region.stretches
     heading = placed.heading_rad[inside]
     oblique = (np.abs(np.sin(heading)) <= math.sin(usual.ALONG_RAD)).mean() < usual.FEW if heading.size else False
@@ -95,6 +98,24 @@ def carriageway(recording: Recording, scenario: Scenario, placed: Placed, headin
         f"{100 * share:.0f} % of the boxes {'about' if stretches else 'in'} the region lie on {placed.name}, but at "
         f"{_span('y', placed.t[looked_at])}; "
         f"{_place_meant(placed.t[looked_at], recording, scenario)}"
+    )
+
+
+def _off_map(recording: Recording, scenario: Scenario, region: Region) -> str | None:
+    """Most vehicles beside the roads of the map: how far apart both are, and what would join them."""
+    part = recording.where(np.arange(len(recording)) % max(1, len(recording) // usual.SAMPLE) == 0)
+    near = region.distance(part) <= region.radius_m
+    looked_at = part.where(near) if near.sum() >= usual.FEWEST else part
+    share = scenario.road_map.on(looked_at.centre_m).mean()
+    if len(looked_at) < usual.FEWEST or share >= usual.HALF:
+        return None
+    middle = np.median(part.centre_m[:, :2], axis=0)
+    away = float(np.hypot(*(middle - region.centre_xy)))
+    return (
+        f"{100 * share:.0f} % of the boxes lie on the map's roads; the middle of the traffic is {away:.0f} m from that "
+        f"of the region, by x {middle[0] - region.centre_xy[0]:.0f}, y {middle[1] - region.centre_xy[1]:.0f} m; check "
+        "[traffic] origin_m and heading_deg, which place the recording, and [road] origin_m, which places the map (of "
+        "traffic in UTM and a SUMO net they differ by its netOffset)"
     )
 
 
@@ -128,6 +149,8 @@ def _turn_meant(axis: float, scenario: Scenario) -> tuple[float, float]:
 
 def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accepted: bool) -> Iterator[str]:
     """What is suspicious of the places, as sentences; `accepted` is a warning of the carriageway."""
+    if scenario.straight is None:
+        return
     t, heading, inside, on_road = placed.t, placed.heading_rad, placed.inside, placed.on_road
     (low, high), width = placed.edges, float(np.median(scenario.road_map.width_m))
     ahead = inside & (np.cos(heading) > math.cos(usual.ASTRAY_RAD))
@@ -279,7 +302,9 @@ def _span(name: str, values: np.ndarray) -> str:
 
 
 def known_grades(recording: Recording, scenario: Scenario) -> tuple[float, float] | None:
-    """`grades_percent` of a recording about the region's middle."""
+    """`grades_percent` of a recording about the region's middle; None on a map, whose heights are its own."""
+    if scenario.straight is None:
+        return None
     return grades_percent(recording.report.ground, region_of(scenario.region, scenario.road_map).centre_xy[0])
 
 

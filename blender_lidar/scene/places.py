@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, shown
-from ..road.straight import StraightRoad, road_map
+from ..road.mapped import Road
+from ..road.road_map import RoadMap
+from ..road.straight import StraightRoad
 from ..toml_table import TomlTable
 from ..traffic.header import laid_out
 from ..traffic.source import Column, read_rows
@@ -64,6 +66,18 @@ def _stand(table: TomlTable, road: StraightRoad, found: dict[str, object], given
     return side
 
 
+def _stand_on_map(table: TomlTable, found: dict[str, object], given: Mapping[str, object]) -> str | None:
+    """The same on a map, which has no sides: the place is said, and masts face the region's middle unless said."""
+    side, poles = found.pop("side"), found.pop("poles")
+    if side not in (None, "gantry"):
+        raise InputError(f"{table.where('side')}: is {side!r}, a side of a straight road; allowed on a map: gantry")
+    if not poles and not {"x_m", "y_m"} <= given.keys():
+        raise InputError(f"{table.name}: does not say where the mast stands; allowed on a map: x_m and y_m, or poles")
+    if found["facing_deg"] is None:
+        del found["facing_deg"]
+    return side
+
+
 def _check_side(where: str, there: Sequence[str], side: str | None) -> None:
     """Refuse places that do not lie on the side of the road that a scene names; beside a gantry they may."""
     if side not in (None, "gantry") and set(there) != {side}:
@@ -71,8 +85,10 @@ def _check_side(where: str, there: Sequence[str], side: str | None) -> None:
         raise InputError(f"{where}: lies {lie}; allowed: {_LIE[side]}, as side says")
 
 
-def deployment_from(table: TomlTable, road: StraightRoad) -> Deployment:
+def deployment_from(table: TomlTable, road: Road, road_map: RoadMap) -> Deployment:
     """[deployment]: which coordinates are fixed and which are searched, on one place or on a table of poles.
+
+    `road_map` is that of the road.
 
     Raises
     ------
@@ -82,19 +98,24 @@ def deployment_from(table: TomlTable, road: StraightRoad) -> Deployment:
     found = table.read(DEPLOYMENT | STAND)
     poles, clearance_m = found["poles"], found.pop("clearance_m")
     given = {key: found[key] for key in DEPLOYMENT if key in table.values}
-    side = _stand(table, road, found, given)
+    straight = isinstance(road, StraightRoad)
+    side = _stand(table, road, found, given) if straight else _stand_on_map(table, found, given)
     if has_lean(given, table.name):
-        found = {key: found[key] for key in DEPLOYMENT if key not in ANGLES} | dict.fromkeys(LEAN, 0.0) | given
+        found = (
+            {key: found[key] for key in DEPLOYMENT if key in found and key not in ANGLES}
+            | dict.fromkeys(LEAN, 0.0)
+            | given
+        )
     else:
-        found = {key: found[key] for key in MOUNTING}
+        found = {key: found[key] for key in MOUNTING if key in found}
     least = clearance_m if side == "gantry" else 0.0
     if "height_m" not in given and least:
         found["height_m"] = (least, max(least + _GANTRY_SPAN_M, _GANTRY_M))
     searched = {key: found[key] for key in DEPLOYMENT if isinstance(found.get(key), tuple)}
     _check_angles(table, searched)
     fixed = {key: value for key, value in found.items() if key not in searched}
-    faces_road = road.faced_from_any_side and "facing_deg" not in given
-    deployment = Deployment(fixed, searched, (), None, road, side, clearance_m, faces_road)
+    faces_road = "facing_deg" not in given and (not straight or road.faced_from_any_side)
+    deployment = Deployment(fixed, searched, (), None, road, side, clearance_m, faces_road, road_map)
     if poles is None:
         return deployment
     if places := [key for key in ("x_m", "y_m") if key in given]:
@@ -108,7 +129,8 @@ def _check_poles(deployment: Deployment, where: str) -> None:
     """Refuse poles on another side than a scene names, and heights that no LiDAR hangs at; `where` is height_m."""
     for pole in deployment.poles:
         named = f"{deployment.poles_file}: pole {pole.name!r}"
-        _check_side(named, [deployment.road.side_of((pole.x_m, pole.y_m))], deployment.side)
+        if isinstance(deployment.road, StraightRoad):
+            _check_side(named, [deployment.road.side_of((pole.x_m, pole.y_m))], deployment.side)
         if "height_m" in deployment.fixed and (pole.height_min_m is None) != (pole.height_max_m is None):
             raise InputError(f"{named}: has one end of its heights, and {where} none")
         (low, high), limits = deployment.at(pole).span("height_m"), COORDINATE_LIMITS["height_m"]
@@ -120,10 +142,20 @@ def _check_poles(deployment: Deployment, where: str) -> None:
 
 
 def baseline_from(table: TomlTable, deployment: Deployment, region: RegionSettings) -> Mounting:
-    """[baseline]: at the mount's own place where that is fixed; else where no bound and no pole moves it."""
-    road, place = road_map(deployment.road), {} if deployment.poles else deployment.fixed
-    x_m = place.get("x_m", region_of(region, road).centre_xy[0])
-    y_m = place.get("y_m", deployment.road.place(deployment.side or deployment.road.drives_on)[0])
+    """[baseline]: at the mount's own place where that is fixed; else where no bound and no pole moves it.
+
+    On a map that is the pole nearest to the region's middle, or the middle between the bounds.
+    """
+    road, place = deployment.road_map, {} if deployment.poles else deployment.fixed
+    x_m, middle = place.get("x_m"), region_of(region, road).centre_xy
+    if isinstance(deployment.road, StraightRoad):
+        x_m = middle[0] if x_m is None else x_m
+        y_m = place.get("y_m", deployment.road.place(deployment.side or deployment.road.drives_on)[0])
+    elif deployment.poles:
+        nearest = min(deployment.poles, key=lambda pole: math.dist((pole.x_m, pole.y_m), middle))
+        x_m, y_m = nearest.x_m, nearest.y_m
+    else:
+        x_m, y_m = deployment.nominal_xy
     given = {key: value for key, value in table.read(MOUNTING_OR_LEAN).items() if key in table.values}
     facing_deg = deployment.facing_at((given.get("x_m", x_m), given.get("y_m", y_m)))
     mast = mast_at(road, x_m, y_m, math.radians(facing_deg))

@@ -170,7 +170,9 @@ _CHECKS: dict[str, Callable[[_Seen], str | None]] = {  # as `names.WARNINGS`: ca
     "tracks": lambda seen: jumps(seen.recording, seen.tracks),
     "headings": lambda seen: headings(seen.tracks, seen.scenario),
     "drift": lambda seen: drift(seen.tracks, seen.placed.region) if seen.heading_known else None,
-    "bend": lambda seen: bend(seen.tracks, seen.placed.region) if seen.heading_known else None,
+    "bend": lambda seen: (
+        bend(seen.tracks, seen.placed.region) if seen.heading_known and seen.scenario.straight else None
+    ),
     "carriageway": lambda seen: carriageway(seen.recording, seen.scenario, seen.placed, seen.heading_known),
     "overlaps": lambda seen: overlaps(seen.recording),
 }

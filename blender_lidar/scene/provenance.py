@@ -32,6 +32,7 @@ def run_identity(scenario: Scenario, caster: str, scenery_digest: str | None = N
     """
     tables = scenario.as_tables()
     tables["model"] = {"caster": caster}  # the number of workers changes nothing
+    del tables["plan"]
     for (table, key), path in _input_files(scenario).items():
         tables[table][key] = _CONTENT + file_digest(path)
     for table, key in _PLUGINS:
@@ -105,8 +106,8 @@ def unchanged_inputs(scenario: Scenario) -> Iterator[None]:
 
 
 def _input_files(scenario: Scenario) -> dict[tuple[str, str], str]:
-    """The files that a scene names, except for scenery, by table and key."""
-    return {place: path for place, path in scenario.files.items() if place[0] != "world"}
+    """The files that a scene's results depend on, except for scenery, by table and key."""
+    return {place: path for place, path in scenario.files.items() if place[0] not in ("world", "plan")}
 
 
 def _stamp(path: str) -> tuple[int, int] | None:

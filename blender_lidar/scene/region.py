@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
-from ..errors import InputError
-from ..road.road_map import RoadMap
+from ..errors import InputError, unknown_name
+from ..road.approaches import Spans, approach_spans, approaches_to, junction_named
+from ..road.road_map import RoadMap, polygon_holds
 from ..traffic.vehicles import Vehicles
 from .settings import RegionSettings
 
@@ -30,7 +32,11 @@ class Region:
     keep_out : sequence of polygons
         What lies in one of them does not count.
     road : RoadMap or None
-        What the stretches are of.
+        What the stretches and the lanes are of.
+    spans : dict
+        Lanes of a map, by their rows, from which station to which [m].
+    areas : sequence of polygons
+        Areas of junctions, which count besides these lanes.
     """
 
     centre_xy: tuple[float, float]
@@ -39,6 +45,23 @@ class Region:
     stretches: Sequence[tuple[Sequence[float], Sequence[int] | None]] = ()
     keep_out: Sequence[Sequence[Sequence[float]]] = ()
     road: RoadMap | None = None
+    spans: Spans = field(default_factory=dict)
+    areas: Sequence[np.ndarray] = ()
+
+    @property
+    def outlines(self) -> list[np.ndarray]:
+        """Polygons that together are the region, without what is kept out, (k, 2) each [m]; a circle has 64 corners."""
+        if self.polygon:
+            return [np.asarray(self.polygon, dtype=float)]
+        if self.stretches:
+            return [outline for s_m, _ in self.stretches for outline in self.road.area(s_m=s_m)]
+        if self.spans or self.areas:
+            return [
+                *self.areas,
+                *(outline for row, s_m in self.spans.items() for outline in self.road.area([row], s_m)),
+            ]
+        turn = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+        return [self.centre_xy + self.radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=1)]
 
     def distance(self, vehicles: Vehicles) -> np.ndarray:
         """Horizontal distance of each box centre from the middle, (n,) [m]."""
@@ -51,6 +74,8 @@ class Region:
             inside = polygon_holds(self.polygon, xy)
         elif self.stretches:
             inside = self._on_stretches(vehicles)
+        elif self.spans or self.areas:
+            inside = self._on_lanes(vehicles)
         else:
             inside = self.distance(vehicles) <= self.radius_m
         for polygon in self.keep_out:
@@ -65,12 +90,26 @@ class Region:
             inside |= along & (located.lane >= 0 if lanes is None else np.isin(vehicles.lane, lanes))
         return inside
 
+    def _on_lanes(self, vehicles: Vehicles) -> np.ndarray:
+        """Which lie on the map's lanes that count, or in a junction, (n,) bool."""
+        xy, located = vehicles.centre_m[:, :2], self.road.locate(vehicles.centre_m, vehicles.heading_rad)
+        low, high = np.full((2, len(self.road) + 1), np.nan)  # the last is of places off the lanes
+        for row, ends in self.spans.items():
+            low[row], high[row] = ends
+        inside = (located.s_m >= low[located.lane] - _ON_EDGE_M) & (located.s_m <= high[located.lane] + _ON_EDGE_M)
+        for area in self.areas:
+            inside |= polygon_holds(area, xy)
+        return inside
 
+
+@lru_cache(maxsize=16)
 def region_of(settings: RegionSettings, road: RoadMap) -> Region:
     """The region that a scene's settings, once resolved, describe.
 
     A stretch lies between the edges of the carriageway; one of the recording's lanes wherever these are.
     """
+    if settings.junction or settings.approaches or settings.lanes:
+        return _mapped(settings, road)
     if settings.polygon_m is None and not settings.stretches:
         return Region(settings.centre_m, settings.radius_m, keep_out=settings.keep_out or ())
     stretches = [(one.x_m, one.lanes) for one in settings.stretches]
@@ -82,23 +121,39 @@ def region_of(settings: RegionSettings, road: RoadMap) -> Region:
     return Region(tuple(centre.tolist()), radius, settings.polygon_m or (), stretches, settings.keep_out or (), road)
 
 
-# --- Polygons -------------------------------------------------------------------------------------------------------
+def _mapped(settings: RegionSettings, road: RoadMap, where: Callable[[str], str] = "[region] {}".format) -> Region:
+    """That of a junction, its approaches and lanes of a map; its middle is the junction's where there is one."""
+    spans, areas, approaches = {}, [], settings.approaches
+    if settings.junction is not None:
+        areas.append(junction_named(road, settings.junction, where("junction")).outline_m)
+        approaches = approaches_to(road, [settings.junction]) if approaches is None else approaches
+    for name in approaches or () if settings.approach_m else ():
+        spans |= approach_spans(road, name, settings.approach_m, where("approaches"))
+    rows = {lane.name: row for row, lane in enumerate(road.lanes)}
+    for name in settings.lanes or ():
+        if name not in rows:
+            raise unknown_name(name, rows, "lane", where("lanes"))
+        spans[rows[name]] = 0.0, float(road.stations(lane=rows[name])[-1])
+    corners = np.concatenate([*areas, *(outline for row, s in spans.items() for outline in road.area([row], s))])
+    middle = areas[0] if areas else corners
+    centre = 0.5 * (middle.min(axis=0) + middle.max(axis=0))
+    radius = float(np.hypot(*(corners - centre).T).max())
+    keep_out = settings.keep_out or ()
+    return Region(tuple(centre.tolist()), radius, (), (), keep_out, road, spans, areas)
 
 
-def polygon_holds(polygon: Sequence[Sequence[float]], xy: np.ndarray) -> np.ndarray:
-    """Point in polygon by the even-odd rule, its edge included: which of the points `xy` (n, 2) lie inside, (n,) bool.
+def check_mapped(settings: RegionSettings, road: RoadMap, where: Callable[[str], str]) -> None:
+    """Refuse names of junctions, approaches and lanes that a map does not have; `where` says what gave a key.
 
-    `polygon` are its corners (m, 2) in the order of its outline, in the unit of the points.
+    Raises
+    ------
+    InputError
+        Naming the nearest known ones.
     """
-    start = np.asarray(polygon, dtype=float)
-    edge = np.roll(start, -1, axis=0) - start
-    x, y = (xy[:, None, axis] - start[:, axis] for axis in (0, 1))  # (n, m), of each point from each corner
-    crossed = (y < 0.0) != (y < edge[:, 1])  # edges that the level of the point meets; the lower end belongs to one
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inside = (crossed & (x < edge[:, 0] * (y / edge[:, 1]))).sum(axis=1) % 2 == 1
-    along = np.clip((x * edge[:, 0] + y * edge[:, 1]) / np.square(edge).sum(axis=1), 0.0, 1.0)
-    off = np.hypot(x - along * edge[:, 0], y - along * edge[:, 1])
-    return inside | (off <= _ON_EDGE_M).any(axis=1)
+    _mapped(settings, road, where)
+
+
+# --- Polygons -------------------------------------------------------------------------------------------------------
 
 
 def check_polygon(polygon: Sequence[Sequence[float]], where: str) -> None:

@@ -15,8 +15,9 @@ from pathlib import Path
 from ..errors import InputError, MissingFileError, shown, unknown_name
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import SEARCHES, DePso, DePsoSettings, GridSearch, search_named
+from ..road.mapped import MappedRoad, Road
 from ..road.road_map import RoadMap
-from ..road.straight import StraightRoad, road_map
+from ..road.straight import StraightRoad
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
@@ -24,13 +25,15 @@ from ..traffic.presets import meta_files
 from .deployment import Deployment
 from .mounting import MOUNTED, Mounting, mounting_from
 from .places import baseline_from, deployment_from
-from .region import check_polygon
+from .region import check_mapped, check_polygon, region_of
+from .roads import road_from, road_map_from
 from .settings import (
     DATASHEET,
     DECLARED,
     GATE,
     ModelSettings,
     ObjectiveSettings,
+    PlanSettings,
     RegionSettings,
     SearchSettings,
     SensorSettings,
@@ -45,7 +48,6 @@ _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "diffe
 _OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
 _OF_ONE_RECORDING = ("name", "weight", "path", "vehicle_types", "period", "location", "frame_ids")
 _FILES = ("world", "blend"), ("world", "mesh")
-_USUAL_MEDIAN_M = 4.0
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
 
 
@@ -67,7 +69,7 @@ class Scenario:
 
     source: str
     traffic: TrafficSettings
-    road: StraightRoad
+    road: Road
     world: WorldSettings
     sensor: SensorSettings
     deployment: Deployment
@@ -76,6 +78,7 @@ class Scenario:
     objective: ObjectiveSettings
     search: SearchSettings
     model: ModelSettings
+    plan: PlanSettings
     where: Callable[[str, str], str] = field(repr=False, compare=False)
     further_traffic: tuple[TrafficSettings, ...] = ()
 
@@ -87,7 +90,16 @@ class Scenario:
     @property
     def road_map(self) -> RoadMap:
         """Where the lanes and the surface are."""
-        return road_map(self.road)
+        return self.deployment.road_map
+
+    @property
+    def straight(self) -> StraightRoad | None:
+        """The straight road, where it is one and no map."""
+        return self.road if isinstance(self.road, StraightRoad) else None
+
+    def in_median(self, xy: Sequence[float]) -> bool:
+        """Whether a place [m] lies in the median of a straight road."""
+        return self.straight is not None and self.straight.side_of(xy) == "median"
 
     def mounting(self, table: Mapping[str, float | None], where: str = "mounting") -> Mounting:
         """The mounting that some coordinates give [m, degrees], with the baseline's others: see `mounting_from`."""
@@ -107,6 +119,9 @@ class Scenario:
             for number, path in enumerate(recording.vehicle_types or (), start=1):
                 named[table, "vehicle_types" if number == 1 else f"vehicle_types {number}"] = path
         named["deployment", "poles"] = self.deployment.poles_file
+        if isinstance(self.road, MappedRoad) and self.road.path:
+            named["road", "net" if self.road.net else "opendrive"] = self.road.path
+        named["plan", "image"] = self.plan.image
         if self.sensor.is_file:
             named["sensor", "name"] = self.sensor.name
         return {place: path for place, path in named.items() if path is not None}
@@ -120,14 +135,13 @@ class Scenario:
 
         Of several recordings the second table is called "traffic 2".
         """
-        tables = asdict(self)
-        further = zip(self._traffic_tables[1:], tables.pop("further_traffic"), strict=True)
-        tables = {"traffic": tables["traffic"], **dict(further), **tables}
-        del tables["source"], tables["where"]
+        kinds = ("road", "world", "sensor", "region", "objective", "search", "model", "plan")
+        tables = dict(zip(self._traffic_tables, map(asdict, self.recordings), strict=True))
+        tables |= {name: asdict(getattr(self, name)) for name in kinds}
         tables["baseline"] = {key: self.baseline.as_table()[key] for key in MOUNTED}
         tables["deployment"] = {**self.deployment.fixed, **self.deployment.bounds}
         if self.deployment.faces_road:
-            del tables["deployment"]["facing_deg"]
+            tables["deployment"].pop("facing_deg", None)
         if self.deployment.side is not None:
             tables["deployment"] |= {key: getattr(self.deployment, key) for key in ("side", "clearance_m")}
         if self.deployment.poles:
@@ -230,9 +244,12 @@ def scenario_of(
     of_file = _tables(tables, {}, where, folder)
     tables = _tables(tables, overrides, where, folder)
     traffic, *further = _recordings([table for name, table in tables.items() if name.split()[0] == "traffic"])
-    road, sensor = _road(tables["road"]), _sensor(tables["sensor"])
-    deployment = deployment_from(tables["deployment"], road)
-    region = _region(tables["region"], sensor, of_file, overrides)
+    road, sensor = road_from(tables["road"]), _sensor(tables["sensor"])
+    road_map = road_map_from(tables["road"], road, [traffic, *further])
+    deployment = deployment_from(tables["deployment"], road, road_map)
+    region = _region(tables["region"], sensor, of_file, overrides, road_map)
+    if not isinstance(road, StraightRoad):
+        deployment = replace(deployment, middle_xy=region_of(region, road_map).centre_xy)
     objective = _objective(tables["objective"])
     if deployment.poles and objective.tolerance is not None:
         where = tables["objective"].where("tolerance")
@@ -256,6 +273,7 @@ def scenario_of(
         objective=objective,
         search=search,
         model=_model(tables["model"]),
+        plan=_plan(tables["plan"]),
         further_traffic=tuple(further),
     )
 
@@ -307,28 +325,32 @@ def _table(
     return TomlTable(values, where(""), {key: option for key, (_, option) in given.items()}, folder, where)
 
 
-def _road(table: TomlTable) -> StraightRoad:
-    road = table.read_as(StraightRoad)
-    if road.carriageways == 2:
-        return road if road.median_m is not None else replace(road, median_m=_USUAL_MEDIAN_M)
-    if road.median_m is not None:
-        raise InputError(f"{table.where('median_m')}: is given for one carriageway; allowed: with carriageways = 2")
-    return road
-
-
 def _region(
-    table: TomlTable, sensor: SensorSettings, of_file: Mapping[str, TomlTable], overrides: Overrides
+    table: TomlTable,
+    sensor: SensorSettings,
+    of_file: Mapping[str, TomlTable],
+    overrides: Overrides,
+    road_map: RoadMap,
 ) -> RegionSettings:
     """[region], resolved: a circle has its middle and radius, which depend on nothing that an option may change.
 
     `of_file` are the scene file's tables without options: where it leaves something open its own mount and sensor say.
     """
     region = table.read_as(RegionSettings)
-    forms = [key for key in ("polygon_m", "stretches") if getattr(region, key)]
+    mapped = [key for key in ("junction", "approaches", "lanes") if getattr(region, key)]
+    forms = [*(key for key in ("polygon_m", "stretches") if getattr(region, key)), *mapped[:1]]
     if forms:
         both = [*forms, *(key for key in ("centre_m", "radius_m") if getattr(region, key) is not None)]
         if len(both) > 1:
-            raise InputError(f"{table.name}: has {both[0]} and {both[1]}; allowed: a circle, a polygon or stretches")
+            raise InputError(
+                f"{table.name}: has {both[0]} and {both[1]}; allowed: a circle, a polygon, stretches of a straight "
+                "road, or a junction, approaches and lanes of a map"
+            )
+    if mapped and not road_map.lanes:
+        raise InputError(f"{table.where(mapped[0])}: is of a map; allowed: with [road] net or opendrive")
+    if region.stretches and (road_map.lanes or not len(road_map)):
+        raise InputError(f"{table.where('stretches')}: are of a straight road; allowed here: a circle or a polygon")
+    check_mapped(region, road_map, table.where) if mapped else None
     for key, polygons in {"polygon_m": [region.polygon_m or ()], "keep_out": region.keep_out or ()}.items():
         for polygon in filter(None, polygons):
             check_polygon(polygon, table.where(key))
@@ -336,7 +358,7 @@ def _region(
         return region
     centre, radius = region.centre_m, region.radius_m
     if centre is None:
-        deployment = deployment_from(of_file["deployment"], _road(of_file["road"]))
+        deployment = deployment_from(of_file["deployment"], road_from(of_file["road"]), road_map)
         searched = ["poles"] if deployment.poles else [key for key in ("x_m", "y_m") if key in deployment.bounds]
         if searched:
             middle = ", ".join(f"{place:g}" for place in deployment.nominal_xy)
@@ -480,6 +502,20 @@ def _search(table: TomlTable, deployment: Deployment, *, several: bool) -> Searc
             f"evaluations for a grid over {most} coordinates; allowed: {corners} or more"
         )
     return search
+
+
+def _plan(table: TomlTable) -> PlanSettings:
+    plan = table.read_as(PlanSettings)
+    if (plan.image is None) != (plan.image_points is None):
+        key, other = ("image", "image_points") if plan.image_points is None else ("image_points", "image")
+        raise InputError(f"{table.where(key)}: is given without {other}; allowed: both")
+    points = plan.image_points
+    if points is not None and (len(points) != 2 or points[0][:2] == points[1][:2] or points[0][2:] == points[1][2:]):
+        raise InputError(
+            f"{table.where('image_points')}: do not place the image; allowed: two different points, each [pixels from "
+            "the left, from the top, x_m, y_m]"
+        )
+    return plan
 
 
 def _model(table: TomlTable) -> ModelSettings:

@@ -31,6 +31,7 @@ from ..names import (
     VIEWS,
     WARNINGS,
 )
+from ..road.mapped import MappedRoad
 from ..road.straight import StraightRoad
 from ..toml_table import setting, settings_of
 from .deployment import DEPLOYMENT, HEADING, MOUNTING_OR_LEAN, STAND
@@ -206,7 +207,7 @@ class StretchSettings:
 
 @dataclass(frozen=True, slots=True)
 class RegionSettings:
-    """[region]: where vehicles count, by their box centres: in a circle, a polygon, or on stretches of lanes.
+    """[region]: where vehicles count, by their box centres: in a circle, a polygon, or on lanes.
 
     Attributes
     ----------
@@ -217,7 +218,18 @@ class RegionSettings:
     polygon_m : polygon or None
         Corners of a polygon [m], in place of a circle.
     stretches : tuple
-        Stretches of the carriageway, in place of a circle: x_m = [from, to], and lanes for some lanes only.
+        Stretches of a straight road's carriageway, in place of a circle: x_m = [from, to], and lanes for some lanes
+        only.
+    junction : str or None
+        Junction of the map, in place of a circle: its area counts, and unless approaches says which, all its
+        approaches.
+    approaches : tuple of str or None
+        Roads of the map that lead to a stop line, in place of a circle or besides a junction: their last approach_m
+        count.
+    approach_m : float
+        How far from the stop line approaches count [m]; at 0 the area of the junction alone.
+    lanes : tuple of str or None
+        Lanes of the map that count as a whole.
     keep_out : polygons or None
         Polygons [m] whose vehicles do not count.
     """
@@ -226,7 +238,27 @@ class RegionSettings:
     radius_m: float = setting(None, above=0.0, high=_FARTHEST_M, word=GATE)
     polygon_m: tuple[tuple[float, float], ...] | None = setting(None, **_REACH)
     stretches: tuple[StretchSettings, ...] = setting(())
+    junction: str | None = setting(None)
+    approaches: tuple[str, ...] | None = setting(None)
+    approach_m: float = setting(50.0, low=0.0, high=1000.0)
+    lanes: tuple[str, ...] | None = setting(None)
     keep_out: tuple[tuple[tuple[float, float], ...], ...] | None = setting(None, **_REACH)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanSettings:
+    """[plan]: what the plan of the site is drawn on; it changes no result.
+
+    Attributes
+    ----------
+    image : str or None
+        Picture seen from above, such as an aerial one: PNG or JPEG.
+    image_points : two of (float, float, float, float) or None
+        Two points that place it: pixels from its left and from its top, and x and y in the site frame [m].
+    """
+
+    image: str | None = setting(None, is_path=True)
+    image_points: tuple[tuple[float, float, float, float], ...] | None = setting(None, **_REACH)
 
 
 @dataclass(frozen=True, slots=True)
@@ -448,10 +480,11 @@ class ModelSettings:
 
 DECLARED = {
     "traffic": settings_of(TrafficSettings),
-    "road": settings_of(StraightRoad),
+    "road": settings_of(StraightRoad) | settings_of(MappedRoad),
     "world": settings_of(WorldSettings),
     "sensor": settings_of(SensorSettings),
     "deployment": DEPLOYMENT | STAND,
+    "plan": settings_of(PlanSettings),
     "region": settings_of(RegionSettings),
     "baseline": MOUNTING_OR_LEAN,
     "objective": settings_of(ObjectiveSettings),

@@ -17,9 +17,10 @@ from ..road.road_map import RoadMap
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.lidar import Lidar
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
-from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames, read_traffic
+from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames
 from ..traffic.fleet import with_variety
 from ..traffic.frames import few_vehicles
+from ..traffic.movements import lane_names, ways_by_map, ways_by_track
 from ..traffic.vehicles import unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
@@ -27,11 +28,12 @@ from ..world.scenery import Scenery, along_road, barrier, box, boxes_reach, join
 from . import usual
 from .mount_checks import check_mount_is_clear, extent, mount_notes
 from .mounting import Mounting
-from .observation import CountedFrame, Observation, Scoring, check_weights, vehicle_weights
+from .observation import WAY_COLUMNS, CountedFrame, Observation, Scoring, check_weights, vehicle_weights
 from .place_checks import nobody_there
 from .plausibility import checked_recording
 from .provenance import run_identity, unchanged_inputs
 from .region import Region, region_of
+from .roads import read_settings
 from .scenario import Scenario
 from .settings import ObjectiveSettings, SensorSettings
 
@@ -138,7 +140,6 @@ def _heights_text(found: Scenery) -> str:
 
 # --- The site ---------------------------------------------------------------------------------------------------------
 
-_OF_FORMATS = ("time_step_s", "period", "location", "height_m", "origin_m", "heading_deg", "vehicle_types")
 _VIEW_SLACK_M = 30.0  # vehicles whose centre is this far beyond the range can still reach into it
 
 
@@ -255,6 +256,7 @@ def prepare(
     notes = [*plan.notes, _out_of_range(scenario, given, searched), *_same_notes(recordings, names)]
     notes += [*mount_notes(scenario, given), few_vehicles(len(plan.searched_ids), judging if held_out else None)]
     plan = replace(plan, notes=tuple(filter(None, notes)))
+    searched, held_out = (_with_ways(part, recording, scenario, region) for part in (searched, held_out))
     searched = _weighted(searched, plan.search_recording, scenario)
     held_out = _weighted(held_out, plan.holdout_recording, scenario)
     check_weights(objective, searched, held_out, scenario.where("objective", ""))
@@ -316,8 +318,10 @@ def scoring_of(scenario: Scenario) -> Scoring:
     """What a scene makes of what is seen."""
     asked, road = scenario.objective, scenario.road_map
     region = region_of(scenario.region, road)
-    edges, _ = road.lines(road.stretch(region.centre_xy, region.radius_m))
-    outline = np.concatenate([edges[0], edges[-1][::-1]]).tolist()
+    outline = region.outlines[0].tolist()
+    if scenario.straight is not None:
+        edges, _ = road.lines(road.stretch(region.centre_xy, region.radius_m))
+        outline = np.concatenate([edges[0], edges[-1][::-1]]).tolist()
     field = Field(region.centre_xy, region.radius_m, tuple(map(tuple, outline)))
     return Scoring(asked.threshold, asked.view, asked.loss, asked.reading, asked.metric, field)
 
@@ -363,8 +367,7 @@ def read_recordings(scenario: Scenario) -> list[Recording]:
 
 def _read_one(scenario: Scenario, number: int) -> Recording:
     settings, world = scenario.traffic, scenario.world
-    given = {key: getattr(settings, key) for key in _OF_FORMATS}
-    recording = read_traffic(settings.path, format=settings.format, road=scenario.road, **given)
+    recording = read_settings(settings, scenario.road)
     recording = with_variety(recording, world.variety, world.variety_seed, number)
     if settings.lanes is not None:
         in_lanes = np.isin(recording.lane, settings.lanes)
@@ -405,6 +408,34 @@ def _counted(vehicles, region, reach, objective: ObjectiveSettings, not_counted=
     near = vehicles.select(region.distance(vehicles) <= reach)
     counted = region.holds(near) & ~np.isin(near.vehicle_id, not_counted)
     return CountedFrame(near, counted, vehicle_weights(near, objective))
+
+
+def _with_ways(
+    frames: Sequence[CountedFrame], recording: Recording, scenario: Scenario, region: Region
+) -> tuple[CountedFrame, ...]:
+    """The frames with approach, exit and movement of each vehicle, and the map's lane; none beside a straight road."""
+    road = scenario.road_map
+    if scenario.straight is not None:
+        return tuple(frames)
+    junctions = [scenario.region.junction] if scenario.region.junction else _junctions_in(region, road)
+    ways = ways_by_map(recording, road, junctions) if road.lanes else ways_by_track(recording, region.centre_xy)
+    found = []
+    for frame in frames:
+        vehicles = frame.vehicles
+        columns = dict(zip(WAY_COLUMNS, ways.of(vehicles), strict=False))
+        columns[WAY_COLUMNS[-1]] = lane_names(road, road.locate(vehicles.centre_m, vehicles.heading_rad))
+        found.append(replace(frame, ways=columns))
+    return tuple(found)
+
+
+def _junctions_in(region: Region, road: RoadMap) -> list[str]:
+    """The junctions whose middle lies in the circle about a region, or of the approaches that count."""
+    leads_to = {row for span in region.spans for row in road.lanes[span].leads_to}
+    named = {road.lanes[row].junction for row in leads_to} - {""}
+    if named:
+        return sorted(named)
+    middles = {one.name: 0.5 * (one.outline_m.min(axis=0) + one.outline_m.max(axis=0)) for one in road.junctions}
+    return [name for name, xy in middles.items() if math.dist(xy, region.centre_xy) <= region.radius_m]
 
 
 def _weighted(frames: Sequence[CountedFrame], recording: np.ndarray, scenario: Scenario) -> tuple[CountedFrame, ...]:

@@ -29,7 +29,7 @@ import numpy as np
 import blender_lidar as bl
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.metric import Field, Metric, SceneContext, VehicleReturns
-from blender_lidar.scene.region import polygon_holds
+from blender_lidar.road.road_map import polygon_holds
 from occupancy_prior import OccupiedFrames, reach_probability
 from voxel_grid import VoxelGrid, covered_voxels
 

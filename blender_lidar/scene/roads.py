@@ -1,0 +1,84 @@
+"""[road], read: a straight road or a map, and where its lanes are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ..errors import InputError
+from ..road.driven import driven_area
+from ..road.mapped import MappedRoad, Road, map_of
+from ..road.road_map import RoadMap
+from ..road.straight import StraightRoad
+from ..toml_table import TomlTable, settings_of
+from ..traffic import Recording, format_of, joined_recordings, read_traffic
+from .settings import TrafficSettings
+
+_OF_FORMATS = ("time_step_s", "period", "location", "height_m", "origin_m", "heading_deg", "vehicle_types")
+_USUAL_MEDIAN_M = 4.0
+_KINDS = ("net", "opendrive", "driven")
+
+
+def road_from(table: TomlTable) -> Road:
+    """[road]: a straight road, or a map where it names one.
+
+    Raises
+    ------
+    InputError
+        When it is both, or two maps.
+    """
+    maps = [key for key in _KINDS if table.values.get(key)]
+    if not maps:
+        return _straight(table)
+    of_straight = [key for key in table.values if key in settings_of(StraightRoad)]
+    if len(maps) > 1 or of_straight:
+        raise InputError(
+            f"{table.name}: has {maps[0]} and {[*maps[1:], *of_straight][0]}; allowed: one map, or the keys of a "
+            "straight road"
+        )
+    return table.read_as(MappedRoad)
+
+
+def _straight(table: TomlTable) -> StraightRoad:
+    given = table.read(settings_of(StraightRoad) | settings_of(MappedRoad))
+    road = StraightRoad(**{key: given[key] for key in settings_of(StraightRoad)})
+    if given["origin_m"] != MappedRoad().origin_m:
+        raise InputError(f"{table.where('origin_m')}: is of a map; allowed: with net, opendrive or driven")
+    if road.carriageways == 2:
+        return road if road.median_m is not None else replace(road, median_m=_USUAL_MEDIAN_M)
+    if road.median_m is not None:
+        raise InputError(f"{table.where('median_m')}: is given for one carriageway; allowed: with carriageways = 2")
+    return road
+
+
+def road_map_from(table: TomlTable, road: Road, recordings: Sequence[TrafficSettings]) -> RoadMap:
+    """Where the lanes of a road are; a driven area is made from its recordings.
+
+    Raises
+    ------
+    BlenderLidarError
+        When the file of a map or a recording cannot be read.
+    """
+    if isinstance(road, StraightRoad):
+        return map_of(road)
+    for traffic in recordings:
+        if traffic.format == "ngsim" or (traffic.format == "auto" and format_of(traffic.path) == "ngsim"):
+            raise InputError(f"{table.name}: is a map, but {traffic.path} is NGSIM's; allowed: a straight road")
+    if not road.driven:
+        return map_of(road)
+    read = joined_recordings([read_settings(one, road) for one in recordings], [one.name or "" for one in recordings])
+    area = driven_area(read.centre_m, read.size_m, read.heading_rad)
+    if area is None:
+        raise InputError(
+            f"{table.where('driven')}: vehicles drive kilometres apart; allowed: recordings of one site, or a map"
+        )
+    return area
+
+
+def read_settings(settings: TrafficSettings, road: Road) -> Recording:
+    """The recording that [traffic] names, in a road's site frame; a map's origin is the recording's unless said."""
+    given = {key: getattr(settings, key) for key in _OF_FORMATS}
+    if isinstance(road, MappedRoad) and given["origin_m"] is None:
+        given["origin_m"] = road.origin_m
+    straight = road if isinstance(road, StraightRoad) else None
+    return read_traffic(settings.path, format=settings.format, road=straight, **given)
