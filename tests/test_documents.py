@@ -39,9 +39,9 @@ def test_a_shipped_scene_can_be_read_and_its_traffic_is_there(scene):
 def test_a_shipped_scene_is_found_by_its_name_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert Path(load_scenario("i80").traffic.path).is_file()
-    with pytest.raises(MissingFileError, match=r"^i81: there is no such file; .*: i80, paper$"):
+    with pytest.raises(MissingFileError, match=r"^i81: there is no such file; .*: crossing, i80, paper$"):
         load_scenario("i81")
-    with pytest.raises(MissingFileError, match=r"^scenes/i80.toml: there is no such file; .*: i80, paper$"):
+    with pytest.raises(MissingFileError, match=r"^scenes/i80.toml: there is no such file; .*: crossing, i80, paper$"):
         load_scenario("scenes/i80.toml")
     (tmp_path / "i80").mkdir()  # a folder of results called so hides no scene
     assert Path(load_scenario("i80").traffic.path).is_file()

@@ -221,7 +221,7 @@ def test_a_run_with_another_metric_has_its_charts(tmp_path, capsys, monkeypatch)
     scene = write_scene(tmp_path, {"traffic": {"frames": 2}})
     code, out, err = cli(capsys, "evaluate", scene, "--metric", "ap-entropy", "--height", 4, "--out", tmp_path / "run")
     assert (code, err) == (0, "")
-    assert " and 5 charts\n" in out
+    assert " and 6 charts\n" in out
     assert (tmp_path / "run" / "by_distance.png").exists()
 
 

@@ -11,9 +11,9 @@ from blender_lidar.detection.dataset import plan_dataset, sample
 from blender_lidar.detection.judge import watched
 from blender_lidar.errors import InputError
 from blender_lidar.report.installation import _bearing
+from blender_lidar.road import mapped
 from blender_lidar.road.straight import road_map
 from blender_lidar.run.what_if import jammed
-from blender_lidar.scene import deployment, places, scenario
 from blender_lidar.scene.mount_checks import check_mount_is_clear
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -47,8 +47,7 @@ def sites(tmp_path_factory):
     write_table(folder / "traffic.csv", traffic_rows(vehicles=150))
     along_x = prepare(load_scenario(write_scene(folder, COMMON)))
     with pytest.MonkeyPatch.context() as patch:
-        for module in (deployment, places, scenario):
-            patch.setattr(module, "road_map", turned_map)
+        patch.setattr(mapped, "road_map", turned_map)
         yield along_x, prepare(load_scenario(write_scene(folder, {**COMMON, **TURNED})))
 
 
