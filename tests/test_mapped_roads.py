@@ -135,6 +135,7 @@ def test_a_driven_area_holds_each_footprint_and_little_else():
         ({"deployment": {"side": "left"}}, "allowed on a map: gantry"),
         ({"deployment": {"y_m": None}}, "does not say where the mast stands"),
         ({"deployment": {"x_m": 7.0, "y_m": 40.0}}, "stands on the carriageway"),
+        ({"world": {"clutter": 1.0}}, "allowed on a map: boxes"),
         ({"traffic": {"origin_m": [4000.0, 100.0]}}, "check [traffic] origin_m"),
     ],
 )

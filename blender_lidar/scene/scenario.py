@@ -401,10 +401,13 @@ def _traffic(table: TomlTable) -> TrafficSettings:
     return traffic if traffic.frame_ids or spread else replace(traffic, frames=DEFAULT_COUNT)
 
 
-def _world(table: TomlTable, road: StraightRoad) -> WorldSettings:
+def _world(table: TomlTable, road: Road) -> WorldSettings:
     world = table.read_as(WorldSettings)
+    along = next((key for key in ("barriers", "clutter") if getattr(world, key)), None)
+    if along and not isinstance(road, StraightRoad):
+        raise InputError(f"{table.where(along)}: lie along a straight road; allowed on a map: boxes, blend or mesh")
     file = next((key for key in ("blend", "mesh") if getattr(world, key)), None)
-    if file and not road.is_level:
+    if file and isinstance(road, StraightRoad) and not road.is_level:
         raise InputError(
             f"{table.where(file)}: is given beside a [road] with a grade or a cross-fall, and does not say whether it "
             "is plumb; allowed: boxes and barriers, which stand square on the road"
