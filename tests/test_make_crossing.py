@@ -29,6 +29,12 @@ def rows_of(path):
     return gzip.decompress(path.read_bytes()).partition(b"<fcd-export")[2]
 
 
+def text_of(path):
+    """What the file says: Python versions write other gzip headers."""
+    content = path.read_bytes()
+    return gzip.decompress(content) if path.suffix == ".gz" else content
+
+
 @needs_sumo
 def test_a_generated_crossing_shows_the_cycle_of_its_signal(tmp_path):
     first, second = script.cached_recordings(tmp_path, 2, 60, minutes=5.0)
@@ -176,4 +182,4 @@ def test_the_same_version_of_sumo_makes_the_same_files(tmp_path):
         pytest.skip("the shipped files are by SUMO 1.28.0")
     script.make_sample(tmp_path)
     for path in (NET, SAMPLE, TYPES, POLES):
-        assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name
+        assert text_of(tmp_path / path.name) == text_of(path), path.name

@@ -82,9 +82,10 @@ def test_a_scene_in_utm_scores_as_the_same_scene_at_the_origin(tmp_path):
     away = np.array([691_000.0, 5_336_000.5])
     table, moved = tmp_path / "origin.csv", tmp_path / "utm.csv"
     rng = np.random.default_rng(7)
+    starts = zip(rng.uniform(-30, 30, 6).tolist(), (4.0 * np.arange(6) + 6.0).tolist(), strict=True)
     rows = [
         (frame, number, round(x * 1024) / 1024 + (2.0 * frame), y)
-        for number, (x, y) in enumerate(zip(rng.uniform(-30, 30, 6), 4.0 * np.arange(6) + 6.0, strict=True))
+        for number, (x, y) in enumerate(starts)
         for frame in range(12)
     ]
     for path, (dx, dy) in ((table, (0.0, 0.0)), (moved, away)):
