@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import math
 import os
 import shlex
+import shutil
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, MissingExtraError, one_line, unknown_name
-from ..files import check_folder, check_unused, make_folder, write_text
+from ..errors import InputError, MissingExtraError, MissingFileError, one_line, unknown_name
+from ..files import check_folder, check_unused, make_folder, whole_file, write_text
 from ..names import SIDES, TRAFFIC_FORMATS
 from ..report.site_plan import plot_site_plan, road_text
+from ..road.mapped import MappedRoad
 from ..road.straight import StraightRoad, road_map
 from ..scene.place_checks import grades_percent
 from ..scene.plausibility import checked_recording
@@ -25,11 +30,13 @@ from ..toml_table import settings_of, to_toml
 from ..traffic import Recording, format_of, read_traffic
 from ..traffic.lanes import LANE_WIDTHS_M
 from ..traffic.layout import SETBACK_M, RoadLayout, propose_layout
-from ..traffic.sumo_types import is_config, read_config
+from ..traffic.site_layout import SiteLayout, is_crossing, propose_site
+from ..traffic.sumo_types import SumoConfig, is_config, read_config
 from ..traffic.vehicles import counted
+from .init_site import POLES, draw_site, site_summary, write_site
 from .options import given_options
 
-SCENE, PICTURE = "scene.toml", "scene.png"
+SCENE, PICTURE, RECORDING = "scene.toml", "scene.png", "run.fcd.xml.gz"
 EXAMPLE = "example"
 OPTIONS = ("period", "location", "vehicle_types")
 _SAMPLE = "i80_sample.csv.gz"
@@ -39,6 +46,7 @@ _AXES = {
     "table": ("x_m", "y_m"),
 }
 _GATE_STEP_M = 5.0
+_FCD_PERIOD_S = 0.5
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,15 +55,27 @@ def run(args: argparse.Namespace) -> int:
     kind, path = _source(args)
     settings = settings_of(TrafficSettings)
     given = given_options(args, {key: settings[key] for key in OPTIONS})
-    path, types = _of_config(path) if is_config(path) else (path, ())
+    asked = _asked(args)
+    types = ()
+    if is_config(path):
+        config = read_config(path)
+        _check(folder, [path, *config.types])
+        net = config.net if asked.settings.driven else None  # a map that is given counts before
+        asked = asked if net is None else asked._replace(settings=MappedRoad(net=str(net)))
+        path, types = _recorded(path, config, folder), config.types
     if types and "vehicle_types" not in given:
         given["vehicle_types"] = types
     for file in [one for one in given.get("vehicle_types", ()) if is_config(one)]:
-        given["vehicle_types"] = [*read_config(file)[1], *(one for one in given["vehicle_types"] if one != file)]
-    _check(folder, [path, *map(Path, given.get("vehicle_types", ()))])
+        given["vehicle_types"] = [*read_config(file).types, *(one for one in given["vehicle_types"] if one != file)]
+    maps = [Path(asked.settings.path)] if asked.settings.path else []
+    _check(folder, [path, *map(Path, given.get("vehicle_types", ())), *maps])
     kind = format_of(path) if kind == TRAFFIC_FORMATS[0] else kind
     unplaced = StraightRoad(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
     recording = read_traffic(path, format=kind, road=unplaced, **given)
+    if not asked.settings.driven or asked.at or asked.junction or (kind != "ngsim" and is_crossing(recording)):
+        if kind == "ngsim":
+            raise InputError("--net, --road, --at and --junction: do not apply to NGSIM, whose roads are straight")
+        return _run_site(propose_site(recording, *asked), kind, {"path": path, **given}, folder)
     layout = propose_layout(recording, follows_x=kind == "ngsim", kerb_lane=kind == "sumo")
     make_folder(folder, "FOLDER")
     text = scene_text(recording, layout, kind, {"path": path, **given}, folder)
@@ -77,12 +97,17 @@ def _check_plausible(recording: Recording, layout: RoadLayout, scene: Path) -> N
     centre[:, :2] = layout.placing.points(centre[:, :2])
     placed = replace(recording, centre_m=centre, heading_rad=layout.placing.headings(recording.heading_rad))
     placed = replace(placed, report=replace(recording.report, ground=_ground(recording, layout)))
+    _tell_suspicious(placed, scene)
+
+
+def _tell_suspicious(placed: Recording, scene: Path) -> None:
+    """The same of a recording in the frame of its scene."""
     try:
         checked = checked_recording(placed, load_scenario(scene))
     except InputError as error:
         print(f"blender-lidar: note: a run will stop: {one_line(str(error))}", file=sys.stderr)
         return
-    for note in checked.report.notes[len(recording.report.notes) :]:
+    for note in checked.report.notes[len(placed.report.notes) :]:
         print(f"blender-lidar: note: {note}", file=sys.stderr)
 
 
@@ -107,16 +132,85 @@ def _source(args: argparse.Namespace) -> tuple[str, Path]:
     raise InputError(f"init: {len(words)} files given; allowed: {wanted}")
 
 
-def _of_config(path: Path) -> tuple[Path, list[Path]]:
-    """The recording that SUMO's configuration has written, and the files with types that it names."""
-    data, types = read_config(path)
-    if data is not None and data.exists():
-        return data, types
-    missing = "names no fcd-output" if data is None else f"names {data}, which is not there"
-    raise InputError(
-        f"{path}: {missing}; write it with SUMO: sumo -c {shlex.quote(str(path))} --fcd-output run.fcd.xml; then: "
-        f"blender-lidar init FOLDER --from sumo run.fcd.xml --vehicle-types {shlex.quote(str(path))}"
-    )
+def _recorded(config: Path, named: SumoConfig, folder: Path) -> Path:
+    """The recording that SUMO's configuration has written; where there is none yet, SUMO is run."""
+    if named.data is not None and named.data.exists():
+        return named.data
+    program = _sumo()
+    if program is None:
+        missing = "names no fcd-output" if named.data is None else f"names {named.data}, which is not there"
+        raise InputError(
+            f"{config}: {missing}; write it with SUMO: sumo -c {shlex.quote(str(config))} --fcd-output run.fcd.xml; "
+            f"then: blender-lidar init FOLDER --from sumo run.fcd.xml --vehicle-types {shlex.quote(str(config))}"
+        )
+    make_folder(folder, "FOLDER")
+    path = folder / RECORDING
+    print(f"blender-lidar: note: SUMO writes {path}", file=sys.stderr)
+    with whole_file(path) as temporary:
+        written = temporary.with_name(f"{temporary.name}.xml.gz")  # SUMO packs what ends so
+        options = ["--fcd-output", written, "--device.fcd.period", _FCD_PERIOD_S, "--xml-validation", "never"]
+        words = [str(program), "-c", str(config), *map(str, options), "--no-step-log", "--no-warnings"]
+        try:
+            done = subprocess.run(words, capture_output=True, text=True, check=False)
+            if done.returncode:
+                told = [line for line in done.stderr.splitlines() if line.startswith("Error")] or ["no reason given"]
+                raise InputError(f"{config}: SUMO stopped: {one_line(told[0])}")
+            written.replace(temporary)
+        finally:
+            written.unlink(missing_ok=True)
+    return path
+
+
+def _sumo() -> Path | None:
+    """The program of SUMO: of the package eclipse-sumo, else of ``SUMO_HOME``, else on the path."""
+    homes = [os.environ.get("SUMO_HOME", "")]
+    if importlib.util.find_spec("sumo") is not None:
+        homes.insert(0, getattr(importlib.import_module("sumo"), "SUMO_HOME", ""))
+    folders = [str(Path(home, "bin")) for home in homes if home]
+    found = shutil.which("sumo", path=os.pathsep.join([*folders, os.environ.get("PATH", "")]))
+    return Path(found) if found else None
+
+
+class Asked(NamedTuple):
+    """What the options ask for: a map, a junction by name, a place x, y [m]."""
+
+    settings: MappedRoad
+    junction: str | None
+    at: tuple[float, float] | None
+
+
+def _asked(args: argparse.Namespace) -> Asked:
+    if args.net and args.road:
+        raise InputError(f"--net {args.net} and --road {args.road}: two maps; allowed: one")
+    for path in filter(None, (args.net, args.road)):
+        if not Path(path).exists():
+            raise MissingFileError(f"{path}: there is no such file")
+    at = None
+    if args.at is not None:
+        try:
+            at = tuple(float(part) for part in args.at.split(","))
+        except ValueError:
+            at = ()
+        if len(at) != 2 or not all(map(math.isfinite, at)):
+            raise InputError(f"--at: is {args.at!r}; allowed: X,Y in the map's metres")
+    maps = {key: str(path) for key, path in (("net", args.net), ("opendrive", args.road)) if path}
+    return Asked(MappedRoad(**(maps or {"driven": True})), args.junction, at)
+
+
+def _run_site(site: SiteLayout, kind: str, given: dict[str, object], folder: Path) -> int:
+    """Write the scene, poles and picture of a site on a map; returns the exit code."""
+    make_folder(folder, "FOLDER")
+    traffic = [*_traffic_lines(given, kind, folder)]
+    write_site(site, folder, SCENE, PICTURE, traffic, lambda path: _path(path, folder))
+    written = [str(folder / SCENE), str(folder / POLES)]
+    try:
+        draw_site(site, folder / SCENE, folder / PICTURE)
+        written.append(str(folder / PICTURE))
+    except MissingExtraError as error:
+        print(f"blender-lidar: note: no picture: {error}", file=sys.stderr)
+    print(site_summary(site, kind, written))
+    _tell_suspicious(site.recording, folder / SCENE)
+    return 0
 
 
 def _check(folder: Path, inputs: list[Path]) -> None:
@@ -138,10 +232,6 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         for key, known in (("period", recording.report.periods), ("location", recording.report.locations)):
             if len(known) > 1:
                 given.setdefault(key, getattr(recording.report, key))
-    said = {key: _text(value) for key, value in given.items() if key not in ("path", "vehicle_types")}
-    said["path"] = _path(given["path"], folder)
-    if files := [_path(file, folder) for file in given.get("vehicle_types", ())]:
-        said["vehicle_types"] = files[0] if len(files) == 1 else f"[{', '.join(files)}]"
     grade = _grade_percent(recording, layout)
     across = np.abs(np.subtract(road_map(layout.road).edges_t, layout.pole_y)).max()
     corner = max(math.hypot(along, across) for along in (low, high))
@@ -154,8 +244,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         f"y = {layout.pole_y:g}.",
         "",
         "[traffic]",
-        *(f"{key} = {value}" for key, value in said.items()),
-        f'format = "{kind}"',
+        *_traffic_lines(given, kind, folder),
         *([] if kind == "ngsim" else _placing_lines(layout)),
         "# frames = 30    # searched, spread over the first part of the recording",
         "# holdout = 0.4  # share of the recording, at its end, that is held out as a check",
@@ -188,6 +277,15 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         "",
     ]
     return "\n".join(lines)
+
+
+def _traffic_lines(given: dict[str, object], kind: str, folder: Path) -> list[str]:
+    """[traffic]: the recording and how it is read."""
+    said = {key: _text(value) for key, value in given.items() if key not in ("path", "vehicle_types")}
+    said["path"] = _path(given["path"], folder)
+    if files := [_path(file, folder) for file in given.get("vehicle_types", ())]:
+        said["vehicle_types"] = files[0] if len(files) == 1 else f"[{', '.join(files)}]"
+    return [*(f"{key} = {value}" for key, value in said.items()), f'format = "{kind}"']
 
 
 def _passing(layout: RoadLayout) -> str:

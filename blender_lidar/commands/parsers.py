@@ -73,9 +73,11 @@ def _init(subparsers) -> None:
         subparsers,
         "init FOLDER --from FORMAT [FILE]",
         "propose a scene for a recording of your own",
-        "Propose road, lanes, region and a place for the pole from where the vehicles of a recording drive. Write the "
-        "scene to FOLDER/scene.toml, and a picture to check it by eye to FOLDER/scene.png.",
-        "my_site --from sumo run.fcd.xml --vehicle-types cars.rou.xml",
+        "Propose road, lanes, region and places for poles from where the vehicles of a recording drive, at an "
+        "intersection on its map where there is one. Write the scene to FOLDER/scene.toml, and a picture to check it "
+        "by eye to FOLDER/scene.png.",
+        "my_site --from sumo run.fcd.xml --net site.net.xml --vehicle-types cars.rou.xml",
+        "my_site site.sumocfg",
         "my_site trajectories.csv",
         "my_site --from example",
     )
@@ -89,6 +91,10 @@ def _init(subparsers) -> None:
         "from the file; example, without FILE, takes the shipped sample"
     )
     add("--from", dest="source", nargs="+", metavar=("FORMAT", "FILE"), help=kinds)
+    add("--net", metavar="FILE", help="SUMO net of the site (.net.xml), in the recording's metres; needs sumolib")
+    add("--road", metavar="FILE", help="OpenDRIVE of the site (.xodr), in the recording's metres")
+    add("--junction", metavar="ID", help="the map's junction to take (default: the one that most vehicles cross)")
+    add("--at", metavar="X,Y", help="the place to take, in the map's metres: the junction about it, or the stretch")
     settings = settings_of(TrafficSettings)
     for key in ("period", "location", "vehicle_types"):
         add_option(parser, settings[key], key)

@@ -115,7 +115,12 @@ def movement(turn_rad: float) -> str:
 
 def comes_from(heading_rad: float) -> str:
     """The point of the compass that one with a heading comes from, where +y is north."""
-    return _POINTS[round((math.degrees(heading_rad) + 180.0) / 45.0) % 8]
+    return point_of_compass(heading_rad + math.pi)
+
+
+def point_of_compass(angle_rad: float) -> str:
+    """The point of the compass in a direction, counter-clockwise from +x [rad], where +y is north."""
+    return _POINTS[round(math.degrees(angle_rad) / 45.0) % 8]
 
 
 def check_driven(road: RoadMap, junction: Junction, xy: np.ndarray, where: str) -> None:

@@ -164,18 +164,27 @@ def is_config(path: str | Path) -> bool:
     return str(path).lower().endswith((".sumocfg", ".sumo.cfg"))
 
 
-def read_config(path: str | Path) -> tuple[Path | None, list[Path]]:
-    """Of SUMO's configuration: its floating car data, None where it names none, and its files that define types."""
+class SumoConfig(NamedTuple):
+    """What a SUMO configuration names: its net and its floating car data, None where it names none; files of types."""
+
+    net: Path | None
+    data: Path | None
+    types: list[Path]
+
+
+def read_config(path: str | Path) -> SumoConfig:
+    """The files that SUMO's configuration names, and of its routes and additional files those that define types."""
     folder, values = Path(path).parent, {}
     for _, element, attributes in start_tags(path):
         values[element] = attributes.get("value", attributes.get("v", ""))
     named = ",".join(values.get(key, "") for key in ("route-files", "r", "additional-files", "a"))
     files = [folder / name for name in re.split(r"[,\s]+", named) if name and (folder / name).exists()]
     types = [file for file in files if any(element == "vType" for _, element, _ in start_tags(file))]
-    if not (name := values.get("fcd-output", "")):
-        return None, types
-    prefix = "" if Path(name).is_absolute() else values.get("output-prefix", "")
-    return folder / Path(name).with_name(prefix + Path(name).name), types
+    net = values.get("net-file", values.get("n", ""))
+    data, prefix = values.get("fcd-output", ""), values.get("output-prefix", "")
+    if data:
+        data = folder / (Path(data) if Path(data).is_absolute() else Path(data).with_name(prefix + Path(data).name))
+    return SumoConfig(folder / net if net else None, data or None, types)
 
 
 def _read_type(attributes: Mapping[str, str], line: int, place: str) -> VehicleType:
