@@ -328,7 +328,7 @@ def test_types_may_stand_in_several_files_and_a_configuration_names_them(tmp_pat
         '<configuration><input><route-files value="a.rou.xml, b.rou.xml"/><additional-files v="detectors.add.xml"/>'
         '</input><output><output-prefix value="one_"/><fcd-output value="fcd.xml"/></output></configuration>'
     )
-    assert read_config(config) == (tmp_path / "one_fcd.xml", files)
+    assert read_config(config) == (None, tmp_path / "one_fcd.xml", files)
     with pytest.raises(InputError, match=r"is SUMO's configuration; give .*--vehicle-types .*a\.rou\.xml --vehicle-t"):
         read_types(config)
     (tmp_path / "b.rou.xml").write_text('<routes><vType id="a" vClass="truck"/></routes>')

@@ -171,7 +171,7 @@ def _sumo() -> Path | None:
     return Path(found) if found else None
 
 
-class Asked(NamedTuple):
+class SiteOptions(NamedTuple):
     """What the options ask for: a map, a junction by name, a place x, y [m]."""
 
     settings: MappedRoad
@@ -179,7 +179,7 @@ class Asked(NamedTuple):
     at: tuple[float, float] | None
 
 
-def _asked(args: argparse.Namespace) -> Asked:
+def _asked(args: argparse.Namespace) -> SiteOptions:
     if args.net and args.road:
         raise InputError(f"--net {args.net} and --road {args.road}: two maps; allowed: one")
     for path in filter(None, (args.net, args.road)):
@@ -194,7 +194,7 @@ def _asked(args: argparse.Namespace) -> Asked:
         if len(at) != 2 or not all(map(math.isfinite, at)):
             raise InputError(f"--at: is {args.at!r}; allowed: X,Y in the map's metres")
     maps = {key: str(path) for key, path in (("net", args.net), ("opendrive", args.road)) if path}
-    return Asked(MappedRoad(**(maps or {"driven": True})), args.junction, at)
+    return SiteOptions(MappedRoad(**(maps or {"driven": True})), args.junction, at)
 
 
 def _run_site(site: SiteLayout, kind: str, given: dict[str, object], folder: Path) -> int:

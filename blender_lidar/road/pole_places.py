@@ -1,8 +1,9 @@
-"""Places for poles about a junction: off the lanes, nearest to its middle on each corner, island and median."""
+"""Places for poles about a junction: off the lanes, at the noses of corners, islands and medians."""
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from .road_map import RoadMap
 
 _CELL_M = 0.5
 _CLEAR_M = 1.5  # from a pole to where vehicles drive
+_CLEAR_OF_TRACKS_M = 3.0  # where no map tells how wide the lanes are
 _FARTHEST_M = 25.0  # beyond the radius about the middle
 _APART_M = 6.0  # between two poles: slivers of one island count once
 _WIDE_M = 4.0  # from the middle of a median to its edges, at most
@@ -28,7 +30,7 @@ class PolePlace(NamedTuple):
 
 
 def propose_poles(road: RoadMap, middle_xy: tuple[float, float], radius_m: float) -> list[PolePlace]:
-    """One pole on each piece of ground between the roads, where it comes nearest to a place.
+    """A pole wherever the ground between the roads comes nearest to a place: local minima of the distance.
 
     Parameters
     ----------
@@ -42,29 +44,37 @@ def propose_poles(road: RoadMap, middle_xy: tuple[float, float], radius_m: float
     Returns
     -------
     list of PolePlace
-        The nearest first, at most 12, 1.5 m or more off where vehicles drive and 6 m apart; empty where there is
-        no such ground.
+        The nearest first, at most 12, 6 m apart, 1.5 m or more off the lanes, 3 m off tracks alone; empty where
+        there is no such ground.
     """
     reach = radius_m + _FARTHEST_M
+    clear_m = _CLEAR_M if road.lanes else _CLEAR_OF_TRACKS_M
     steps = np.arange(-math.ceil(reach / _CELL_M), math.ceil(reach / _CELL_M) + 1) * _CELL_M
     x, y = np.meshgrid(middle_xy[0] + steps, middle_xy[1] + steps)
     xy = np.stack([x.ravel(), y.ravel()], axis=1)
-    open_ground = ~road.driven.on(xy).reshape(x.shape)
-    off_m = _distance_to(~open_ground)
-    stands = off_m >= _CLEAR_M
+    off_m = _distance_to(road.driven.on(xy).reshape(x.shape))
     away = np.hypot(x - middle_xy[0], y - middle_xy[1])
-    piece = _connected(stands)
+    piece = _connected((off_m >= clear_m) & (away <= reach))
     found = []
     for number in range(1, int(piece.max()) + 1):
         of_piece = piece == number
-        at = np.flatnonzero(of_piece.ravel())[away[of_piece].argmin()]
-        if away.ravel()[at] <= reach:
-            found.append((float(away.ravel()[at]), xy[at], float(off_m[of_piece].max()) <= _WIDE_M))
+        narrow = float(off_m[of_piece].max()) <= _WIDE_M
+        for at in np.flatnonzero(_least_about(np.where(of_piece, away, np.inf)) & of_piece):
+            found.append((float(away.ravel()[at]), xy[at], narrow))
     kept = []
     for one in sorted(found, key=lambda one: one[0]):
         if all(math.dist(one[1], other[1]) >= _APART_M for other in kept):
             kept.append(one)
     return _named(kept[:_MOST_POLES], middle_xy)
+
+
+def _least_about(values: np.ndarray) -> np.ndarray:
+    """Which cells (ny, nx) hold the least value of those within `_APART_M` along both axes."""
+    size, least = round(_APART_M / _CELL_M), values
+    for axis in (0, 1):
+        padded = np.pad(least, [(size, size) if one == axis else (0, 0) for one in (0, 1)], constant_values=np.inf)
+        least = np.lib.stride_tricks.sliding_window_view(padded, 2 * size + 1, axis=axis).min(axis=-1)
+    return values == least
 
 
 def _named(found: list[tuple[float, np.ndarray, bool]], middle_xy: tuple[float, float]) -> list[PolePlace]:
@@ -95,16 +105,11 @@ def _distance_to(marked: np.ndarray) -> np.ndarray:
 def _connected(marked: np.ndarray) -> np.ndarray:
     """Connected components of marked cells (ny, nx), by edges: numbers from 1; 0 where nothing is marked."""
     label = np.where(marked, np.arange(1, marked.size + 1).reshape(marked.shape), 0)
-    while True:
+    before = None
+    while before is None or (label != before).any():
         before = label.copy()
-        for axis in (0, 1):
-            for flip in (False, True):
-                turned = np.moveaxis(label, axis, 0)
-                turned = turned[::-1] if flip else turned
-                for row in range(1, len(turned)):  # the larger number runs along the rows
-                    one = turned[row]
-                    np.maximum(one, turned[row - 1], out=one, where=one > 0)
-        if (label == before).all():
-            return (
-                np.unique(label, return_inverse=True)[1].reshape(label.shape) if (label == 0).any() else label * 0 + 1
-            )
+        for view in (label, label[::-1], label.T, label.T[::-1]):
+            for last, row in pairwise(view):  # the larger number runs along the rows
+                np.maximum(row, last, out=row, where=row > 0)
+    names = np.unique(label[marked])
+    return np.where(marked, np.searchsorted(names, label) + 1, 0)

@@ -21,8 +21,10 @@ from .vehicles import Recording, counted
 APPROACH_M = 40.0
 RADIUS_M = 40.0  # of the region where no junction is known
 _ARMS_M = 30.0  # from the middle of a junction, where its arms are told apart
+_MIDDLE_M = 12.0  # from it, within which no arm can be told
 _ARM_RAD = math.radians(45.0)  # between two arms at least
 _FEWEST_ON_AN_ARM, _LEAST_SHARE = 5, 0.04  # vehicles
+_LEAST_SPREAD = 0.1  # circular dispersion where ways meet; below 0.01 on a motorway
 _CELL_M = 10.0
 _NEAR_M = 50.0  # from --at to a junction that is meant by it
 _MOST_PLACES = 200_000
@@ -109,6 +111,7 @@ def propose_site(
     away = np.hypot(*(recording.centre_m[:, :2] - middle_xy).T)
     if whole is None:
         road = _driven_near(recording, away)
+        notes.append("without a map, ground that nobody drove on may be road: check each pole")
         moved = None
     else:
         road = map_of(settings)
@@ -260,7 +263,7 @@ def _driven_near(recording: Recording, away: np.ndarray) -> DrivenArea:
 def _meeting_place(recording: Recording) -> np.ndarray | None:
     """Where ways of different directions meet most, (2,) [m]: the circular dispersion of doubled headings, times flow.
 
-    None where nothing moves.
+    None where nothing moves, or all along one road.
     """
     try:
         samples = Samples.of(recording)
@@ -277,19 +280,25 @@ def _meeting_place(recording: Recording) -> np.ndarray | None:
     best, found = 0.0, None
     for x, y in index:
         rows = [index[x + right, y + up] for right, up in around if (x + right, y + up) in index]
-        spread = float(weight[rows].sum() - abs(turn[rows].sum()))
-        if spread > best:
+        flow = float(weight[rows].sum())
+        spread = flow - float(abs(turn[rows].sum()))
+        if spread > max(best, _LEAST_SPREAD * flow):
             best, found = spread, np.array([x + 0.5, y + 0.5]) * _CELL_M
     return found
 
 
 def _arms(recording: Recording, place: np.ndarray) -> int:
-    """On how many arms vehicles come to a place or leave it: peaks of a circular histogram of where they do."""
+    """On how many arms vehicles come to a place or leave it: peaks of a circular histogram of where they are seen first
+    and last about it.
+    """
     order = np.lexsort((recording.frame, recording.vehicle_id))
     xy, vehicle = recording.centre_m[order, :2] - place, recording.vehicle_id[order]
-    inside = np.hypot(*xy.T) <= _ARMS_M
-    same = vehicle[1:] == vehicle[:-1]
-    ends = np.concatenate([xy[1:][same & inside[1:] & ~inside[:-1]], xy[:-1][same & inside[:-1] & ~inside[1:]]])
+    away = np.hypot(*xy.T)
+    near = away <= _ARMS_M
+    xy, vehicle, away = xy[near], vehicle[near], away[near]
+    changes = np.diff(vehicle) != 0
+    first, last = np.concatenate([[True], changes]), np.concatenate([changes, [True]])
+    ends = xy[(first | last) & (away >= _MIDDLE_M)]
     if not len(ends):
         return 0
     turn = np.degrees(np.arctan2(ends[:, 1], ends[:, 0])) % 360.0
