@@ -6,6 +6,7 @@ import argparse
 import importlib
 import io
 import os
+import re
 import sys
 import warnings
 from collections.abc import Sequence
@@ -68,7 +69,7 @@ def _exit_code(argv: Sequence[str] | None) -> int:
 
 
 def _carried_out(argv: Sequence[str] | None) -> int:
-    (parser, verbs), words = _parsers(), sys.argv[1:] if argv is None else argv
+    (parser, verbs), words = _parsers(), _joined(sys.argv[1:] if argv is None else argv)
     try:
         args, unknown = parser.parse_known_args(words)
         if unknown:  # argparse would name the help of the whole command line
@@ -80,6 +81,17 @@ def _carried_out(argv: Sequence[str] | None) -> int:
         _check_numpy()
         carry_out = getattr(importlib.import_module(f".commands.{module}", __package__), function)
     return carry_out(args)
+
+
+def _joined(words: Sequence[str]) -> list[str]:
+    """The same with ``--at -5,3`` as ``--at=-5,3``, which argparse would take for options."""
+    found = []
+    for word in words:
+        if found and found[-1] == "--at" and re.match(r"-[\d.]", word):
+            found[-1] = f"--at={word}"
+        else:
+            found.append(word)
+    return found
 
 
 def _failed(text: str, code: int) -> int:

@@ -420,6 +420,7 @@ def test_a_sumo_configuration_gives_recording_and_types_or_says_how_to_write_the
     changed = run_identity(scenario, "exact")
     assert [key for key in digests if digests[key] != changed[key]] == ["[traffic] vehicle_types 2"]
     config.write_text(config.read_text().replace("run.fcd", "not_there.fcd"))
+    monkeypatch.setattr("blender_lidar.commands.init._sumo", lambda: None)
     assert run("init", tmp_path / "other", config) == 2
     assert "not_there.fcd.xml, which is not there; write it with SUMO: sumo -c " in capsys.readouterr().err
 

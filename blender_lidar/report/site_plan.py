@@ -237,9 +237,6 @@ def plot_mapped_plan(
 
     Errors as `figure.sheet` and `plan.background`.
     """
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     window = window_of([*outlines, *([stand.xy] for stand in poles)], _ROUND_M)
     width, height = np.ptp(window, axis=0)  # a site that is high shows more beside it
     window += np.array([[-0.5], [0.5]]) * (max(height / _STEEPEST - width, 0.0), 0.0)
@@ -255,6 +252,9 @@ def plot_mapped_plan(
     subtitle = f"{_name_of(recording)}: {vehicles} in this window, {counted(len(poles), 'pole')}"
     key_mm = 18.0 + 4.0 * math.ceil(len(known) / 3)
     with plans(path, window, [""], key_mm, "The site to scale", subtitle, road=road) as (figure, panels, _):
+        from matplotlib.lines import Line2D
+        from matplotlib.patches import Patch
+
         (axes,) = panels
         if image is not None:
             background(axes, *image)

@@ -140,7 +140,7 @@ def read_types(*paths: str | Path) -> dict[str, VehicleType]:
     types: dict[str, VehicleType] = {}
     for path in paths:
         if is_config(path):
-            files = " ".join(f"--vehicle-types {one}" for one in read_config(path)[1])
+            files = " ".join(f"--vehicle-types {one}" for one in read_config(path).types)
             raise InputError(f"{path}: is SUMO's configuration; give the files with <vType> that it names: {files}")
         here: dict[str, VehicleType] = {}
         for line, element, attributes in start_tags(path):
