@@ -24,6 +24,7 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from blender_lidar.statistics import many_to_one_reach_90, resampled_weights, student_t
+from blender_lidar.studies.candidates import at_one_place
 from tests.refusals import refused
 from tests.sample_traffic import one_vehicle
 from tests.small_scene import REGION, cli, done, mounting, without_charts, without_times, write_scene
@@ -102,7 +103,20 @@ def test_a_study_is_about_one_place(tmp_path, capsys, verb):
     pytest.importorskip("scipy")
     scene = scene_with(tmp_path, changes={**CHANGES, "deployment": {"poles": "poles.csv", "tilt_x_deg": [0.0, 20.0]}})
     assert "[deployment] poles: are for optimise" in refused(capsys, tmp_path, verb, scene, "--out", "run")
-    assert "unrecognized arguments: --pole" in refused(capsys, tmp_path, verb, scene, "--pole", "lamp", "--out", "run")
+    assert "unknown pole 'lamb'" in refused(capsys, tmp_path, verb, scene, "--pole", "lamb", "--out", "run")
+    without = write_scene(tmp_path, REGION)
+    assert "has no [deployment] poles" in refused(capsys, tmp_path, verb, without, "--pole", "lamp", "--out", "run")
+
+
+def test_a_study_on_a_named_pole_searches_what_optimise_searches_there(tmp_path):
+    scenario = load_scenario(scene_with(tmp_path))
+    for pole, there in zip(scenario.deployment.poles, scenario.deployment.spaces, strict=True):
+        one = at_one_place(scenario, pole.name)
+        (space,) = one.deployment.spaces
+        assert (space.variables, space.bounds) == (there.variables, there.bounds)
+        middle = [0.5 * sum(ends) for ends in space.bounds]
+        assert space.layout(middle) == there.layout(middle)
+        assert one.baseline == scenario.baseline
 
 
 @pytest.fixture(scope="module")

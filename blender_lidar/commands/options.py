@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from ..errors import InputError, MissingExtraError, shown, unknown_name
+from ..errors import InputError, MissingExtraError
 from ..plugins import IN_A_FILE
 from ..scene.deployment import MOUNTING_OR_LEAN
 from ..scene.mounting import Mounting
@@ -180,16 +180,9 @@ def mounting_from(args: argparse.Namespace, scenario: Scenario) -> Mounting:
     """The mounting that the options name."""
     given = given_options(args, MOUNTING_OR_LEAN)
     if getattr(args, "pole", None) is not None:
-        poles = {pole.name: pole for pole in scenario.deployment.poles}
-        if args.pole not in poles:
-            raise (
-                unknown_name(args.pole, poles, "pole", "--pole")
-                if poles
-                else InputError(f"--pole: is {shown(args.pole)}, but the scene has no [deployment] poles")
-            )
+        pole = scenario.deployment.pole_named(args.pole)
         if place := [key for key in ("x_m", "y_m") if key in given]:
             raise InputError(f"{MOUNTING_OR_LEAN[place[0]].option}: is given beside --pole; allowed: one of both")
-        pole = poles[args.pole]
         height, (low, high) = given.get("height_m"), scenario.deployment.at(pole).span("height_m")
         allowed = f"{low:g} to {high:g} m above the road"
         if pole.height_max_m is None:

@@ -187,8 +187,15 @@ def _stability(subparsers) -> None:
         run="studies.run_stability",
     )
     add_scene(parser, leave_out=("--fidelity", "--seeds"))  # it has fidelities and seeds of its own
-    add_pose(parser, on_poles=False)  # a study is about one place
+    add_pose(parser, on_poles=False)
+    _add_pole(parser)
     _output(parser, resumed="study", quick="few frames, coarse grids, short searches")
+
+
+def _add_pole(parser) -> None:
+    parser.add_argument(
+        "--pole", metavar="NAME", help="of a scene with candidate poles, the one that the study is about"
+    )
 
 
 def _chart(subparsers) -> None:
@@ -204,6 +211,7 @@ def _chart(subparsers) -> None:
         run="studies.run_chart",
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--tolerance"))
+    _add_pole(parser)
     add = parser.add_argument_group("chart").add_argument
     regret = "share of the gain over the baseline that a cheaper model may cost, above 0 up to 100%%: 1%% or 0.01 "
     regret += "(default 1%%)"

@@ -14,7 +14,7 @@ from ..report.study import StudyReport
 from ..scene.deployment import MOUNTING_OR_LEAN
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
-from ..studies.candidates import check_one_place, check_searched, sobol_candidates
+from ..studies.candidates import at_one_place, check_searched, sobol_candidates
 from ..studies.chart import FULL_CHART, QUICK_CHART, chart_identity, chart_study
 from ..studies.driver import StudyFolder
 from ..studies.stability import FULL_STABILITY, QUICK_STABILITY, study_identity, study_stability
@@ -29,8 +29,7 @@ def run_chart(args: argparse.Namespace) -> int:
     check_resume(args)
     tolerance = parse_share(args.max_regret, "--max-regret")
     check_scipy("chart")
-    scenario = scenario_from(args)
-    check_one_place(scenario)
+    scenario = at_one_place(scenario_from(args), args.pole)
     sobol_candidates(scenario, 2)  # refuses a scene that searches nothing
     effort, site = _effort_of(args, FULL_CHART, QUICK_CHART), prepare(scenario)
 
@@ -43,10 +42,10 @@ def run_chart(args: argparse.Namespace) -> int:
 def run_stability(args: argparse.Namespace) -> int:
     """Carry out `stability`; returns the exit code."""
     check_resume(args)
-    scenario = scenario_from(args)
+    whole = scenario_from(args)
+    scenario = at_one_place(whole, args.pole)
     check_searched(scenario)
-    check_one_place(scenario)
-    mounting = mounting_from(args, scenario) if given_options(args, MOUNTING_OR_LEAN) else None
+    mounting = mounting_from(args, whole) if given_options(args, MOUNTING_OR_LEAN) else None
     effort, site = _effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, [mounting] if mounting else [])
 
     def study(folder: StudyFolder) -> dict:

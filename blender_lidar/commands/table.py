@@ -24,7 +24,7 @@ from ..scene.mounting import ANGLES, LEANS, Mounting, changed_mounting, mast_at
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
 from ..scoring.evaluation import site_evaluator
-from ..studies.candidates import check_one_place
+from ..studies.candidates import at_one_place
 from .options import default_folder, scenario_from
 from .progress import Progress
 from .report import describe_site, filled, say, say_result
@@ -44,8 +44,9 @@ def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     setbacks = parse_range(args.setback, "--setback", _FARTHEST_M)
     heights = parse_range(args.heights, "--height", _HIGHEST_M)
-    scenario = scenario_from(args)
-    check_one_place(scenario)
+    scenario = at_one_place(scenario_from(args))
+    if scenario.straight is None:
+        raise InputError(f"{scenario.source}: [road] is a map; a table of setbacks is of a straight road")
     folder = Path(args.out or default_folder(scenario, "table"))
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"--out: {folder}: is not empty; allowed: a new folder")

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from ..errors import InputError, shown, unknown_name
 from ..names import SIDES
 from ..road.mapped import Road, map_of
 from ..road.straight import StraightRoad
@@ -328,6 +329,21 @@ class Deployment:
             towards = self.middle_xy
         bounds = {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds}
         return Place(fixed, bounds, self.road, pole, self.map, towards)
+
+    def pole_named(self, name: str) -> Pole:
+        """The candidate pole of that name; `InputError`, naming ``--pole``, where there is none."""
+        poles = {pole.name: pole for pole in self.poles}
+        if not poles:
+            raise InputError(f"--pole: is {shown(name)}, but the scene has no [deployment] poles")
+        if name not in poles:
+            raise unknown_name(name, poles, "pole", "--pole")
+        return poles[name]
+
+    def on_pole(self, pole: Pole) -> Deployment:
+        """The same with that pole as its one place."""
+        place = self.at(pole)
+        faces_road = self.faces_road and pole.facing_deg is None
+        return replace(self, fixed=place.fixed, bounds=place.bounds, poles=(), poles_file=None, faces_road=faces_road)
 
     @property
     def places(self) -> tuple[Place, ...]:

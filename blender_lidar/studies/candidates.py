@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -109,14 +109,26 @@ def check_searched(scenario: Scenario) -> None:
         )
 
 
-def check_one_place(scenario: Scenario) -> None:
-    """Refuse candidate poles and several recordings: a study is about one place and one recording."""
+def at_one_place(scenario: Scenario, pole: str | None = None) -> Scenario:
+    """The scene with one of its candidate poles as its place, by name.
+
+    Raises
+    ------
+    InputError
+        When it has candidate poles and none is named, another is, or several recordings: a study is about one place and
+        one recording.
+    """
     if scenario.further_traffic:
         raise InputError(
             f"{scenario.source}: [[traffic]]: {len(scenario.recordings)} recordings are for optimise and evaluate; a "
             "study is about one: [traffic]"
         )
-    if scenario.deployment.poles:
+    deployment = scenario.deployment
+    if pole is not None:
+        return replace(scenario, deployment=deployment.on_pole(deployment.pole_named(pole)))
+    if deployment.poles:
         raise InputError(
-            f"{scenario.source}: [deployment] poles: are for optimise; a study is about one place: x_m and y_m"
+            f"{scenario.source}: [deployment] poles: are for optimise; a study is about one place, --pole NAME: "
+            f"{', '.join(one.name for one in deployment.poles)}"
         )
+    return scenario

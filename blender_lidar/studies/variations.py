@@ -181,18 +181,25 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
     own = of_fidelity(Fidelity(site.scenario.world.detail))
     box, body, detailed = (of_fidelity(Fidelity(level)) for level in DETAILS)
 
-    road, (right, left) = site.scenario.road_map, site.scenario.road_map.edges_t
-    middle = right + (left - right) / len(road) * (len(road) // 2)
-    where = "in the middle of the median" if site.scenario.road.median_m else "on the middle lane line"
-    barrier_at = f"{where}, y {middle:g} m"
-    with_barrier = Variation(ABLATION, "median barrier", barrier_at, partial(_with_barrier, y_m=middle))
     return [
-        Ablation("median barrier", barrier_at, ((own, with_barrier),)),
+        *_median_barrier(site, own),
         Ablation("body shape", "body, not box", ((box, body),)),
         Ablation("finer shape", "detailed, not body", ((body, detailed),)),
         _azimuth_offsets(site, own),
         *_imperfections(site, own, draws),
     ]
+
+
+def _median_barrier(site: Site, own: Variation) -> list[Ablation]:
+    """A barrier along a straight road; none on a map, on which no barrier can stand."""
+    if site.scenario.straight is None:
+        return []
+    road, (right, left) = site.scenario.road_map, site.scenario.road_map.edges_t
+    middle = right + (left - right) / len(road) * (len(road) // 2)
+    where = "in the middle of the median" if site.scenario.road.median_m else "on the middle lane line"
+    barrier_at = f"{where}, y {middle:g} m"
+    with_barrier = Variation(ABLATION, "median barrier", barrier_at, partial(_with_barrier, y_m=middle))
+    return [Ablation("median barrier", barrier_at, ((own, with_barrier),))]
 
 
 def _with_barrier(site: Site, y_m: float) -> Site:
