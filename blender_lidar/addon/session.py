@@ -335,7 +335,7 @@ def _made_ready(scenario: Scenario, vehicles: Vehicles, mounting: Mounting) -> L
     scenery = standing_scenery(scenario, caster, [mounting], margin_m=2.0 * DRAG_M)
     observation = observation_of(scenario, lattice_of(scenario.sensor), caster, scenery)
     scoring = scoring_of(scenario) if frame.counted.any() else None
-    return LiveFrame(frame, observation, scoring, ground=scenario.world.ground)
+    return LiveFrame(frame, observation, scoring, ground=scenario.plane_returns)
 
 
 def exact_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, scenario: Scenario) -> list[StandingScenery]:

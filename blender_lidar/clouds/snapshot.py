@@ -54,7 +54,7 @@ class MountedSensor:
     def scan(self, vehicles: Vehicles) -> PointCloud:
         """One revolution over a frame, ground included."""
         observation = observation_of(self.scenario, self.lattice, self.caster, self.scenery)
-        return scan(vehicles, observation, self.mounting.pose, ground=self.scenario.world.ground)
+        return scan(vehicles, observation, self.mounting.pose, ground=self.scenario.plane_returns)
 
     def cloud_header(self, vehicles: Vehicles) -> dict[str, object]:
         """What made the cloud of a frame, for the file that holds it."""

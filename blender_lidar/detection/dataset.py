@@ -324,7 +324,7 @@ def sample(plan: DatasetPlan, number: int) -> Sample:
     )
     none = np.zeros(len(vehicles), dtype=bool)
     shapes = FrameShapes(vehicles, none, seen.detail, seen.caster)
-    frame = FrameScan(shapes, vehicles, seen, ground=plan.scenario.world.ground)
+    frame = FrameScan(shapes, vehicles, seen, ground=plan.scenario.plane_returns)
     hangs = scan.hangs.pose
     turn = frame.turn(hangs)
     cloud = frame.cloud(hangs, turn)

@@ -102,6 +102,8 @@ def _slopes(site):
             "the height is plumb, above the plane of the road where that meets the mast,",
             "and lean, yaw and falls are against the vertical, not the road",
         ]
+    if site.scenario.straight is None and not site.scenario.road_map.surface.is_flat:
+        lines += ["The road has the heights of its map: the height is plumb, above the nearest lane at the mast"]
     if road.crown_percent:
         height = float(road.surface.triangles((0.0, 0.0), 1.0)[..., 2].max())
         lines.append(f"The road's surface is that of the carriageway's edges; its middle is {height:.2f} m higher")
@@ -128,6 +130,8 @@ def _lean(at):
 
 def _bearing(site, axis, ahead_rad, travel):
     """Where an axis (3,) points, seen from above, for people on a road that goes ahead in the direction of `travel`."""
+    if site.scenario.straight is None:
+        return f"bearing {bearing_deg(site, axis[:2]):.0f} deg"
     left = ("+y", "-x", "-y", "+x")  # of the site frame, by the quarter turns of the road in it
     quarter = round(ahead_rad / (0.5 * math.pi))
     bearing = math.degrees(math.atan2(axis[1], axis[0]) - ahead_rad)

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from ..road.mapped import MappedRoad
 from ..traffic.vehicles import Placing
 from .mounting import Mounting
 from .site import Site
@@ -50,10 +51,11 @@ def pointing(site: Site, mounting: Mounting) -> dict[str, object]:
 
 
 def bearing_deg(site: Site, direction: np.ndarray) -> float:
-    """Bearing of a direction of the site frame, (2,): clockwise from the +y of the recording's frame, 0 to 360."""
+    """Bearing of a direction of the site frame, (2,): clockwise from +y of the map or the recording, 0 to 360."""
     counter_clockwise = math.degrees(math.atan2(direction[1], direction[0]))
     if site.recording.report.format != "ngsim":  # NGSIM's +y is ahead along the road
-        counter_clockwise += (site.scenario.traffic.heading_deg or 0.0) - 90.0
+        turned = 0.0 if site.scenario.straight is None else site.scenario.traffic.heading_deg or 0.0
+        counter_clockwise += turned - 90.0  # a site frame on a map has the map's axes
     return round(-counter_clockwise, 9) % 360.0
 
 
@@ -77,8 +79,13 @@ def towards(site: Site, xy: tuple[float, float], direction: np.ndarray) -> str:
 
 
 def _in_recording(site: Site, xy: tuple[float, float]) -> dict[str, object]:
-    """A place of the site frame in the first recording's own coordinates [m], and what these are."""
-    format = site.recording.report.format
+    """A place of the site frame in the map's own coordinates, else the first recording's [m], and what these are."""
+    format, road = site.recording.report.format, site.scenario.road
+    if isinstance(road, MappedRoad):
+        frame = "x and y of the net" if road.net else "x and y of the OpenDRIVE map"
+        x_m, y_m = np.add(xy, road.origin_m)
+        frame = _FRAMES.get(format, "x and y of the recording") if road.driven else frame
+        return {"frame": frame, "x_m": float(x_m), "y_m": float(y_m)}
     if format == "ngsim":
         y_m, x_m = site.scenario.road.in_ngsim(*xy)
     else:

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import InputError
+from ..road.road_map import Surface
 from ..traffic.vehicles import CLASSES, Recording
 from . import usual
 from .motion_checks import Tracks, bend, coupled, drift, headings, jumps, time_step, track_notes
@@ -110,7 +111,7 @@ def _sizes(seen: _Seen) -> str | None:
             f"{100 * (1.0 - fitting.mean()):.0f} % of the boxes of class {name} have impossible sizes: a median {name} "
             f"is {_by(np.median(size, axis=0))} m (usual: {_by(usual.SIZES_M[name])} m); probably {probably}"
         )
-    return _heights_alike(sample) or _heights_of_middles(sample)
+    return _heights_alike(sample) or _heights_of_middles(sample, seen.scenario.road_map.surface)
 
 
 def _by(sizes) -> str:
@@ -135,9 +136,11 @@ def _heights_alike(sample: Recording) -> str | None:
     return None
 
 
-def _heights_of_middles(sample: Recording) -> str | None:
-    """Boxes that stand above the road or in it: z_m that is not of their middles."""
+def _heights_of_middles(sample: Recording, surface: Surface) -> str | None:
+    """Boxes that stand above the road or in it: z_m that is not of their middles, on z = 0 or on a map's heights."""
     z, half = sample.centre_m[:, 2], 0.5 * sample.size_m[:, 2]
+    on_surface = z - surface.height(sample.centre_m)
+    z = on_surface if np.abs(on_surface - half).mean() < np.abs(z - half).mean() else z
     if len(z) < usual.FEWEST or (np.abs(z - half) <= usual.OFF_MIDDLE_M).mean() >= usual.HALF:
         return None
     return (

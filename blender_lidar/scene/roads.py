@@ -65,10 +65,7 @@ def road_map_from(table: TomlTable, road: Road, recordings: Sequence[TrafficSett
         if traffic.format == "ngsim" or (traffic.format == "auto" and format_of(traffic.path) == "ngsim"):
             raise InputError(f"{table.name}: is a map, but {traffic.path} is NGSIM's; allowed: a straight road")
     if not road.driven:
-        found = map_of(road)
-        if not found.surface.is_flat:
-            raise InputError(f"{road.path}: has heights, which scenes do not use yet; allowed: a level map")
-        return found
+        return map_of(road)
     read = joined_recordings([read_settings(one, road) for one in recordings], [one.name or "" for one in recordings])
     area = driven_area(read.centre_m, read.size_m, read.heading_rad)
     if area is None:

@@ -93,6 +93,11 @@ class Scenario:
         return self.deployment.road_map
 
     @property
+    def plane_returns(self) -> bool:
+        """Whether the plane z = 0 returns: the ground does, and no map's heights are there in its place."""
+        return self.world.ground and (self.straight is not None or self.road_map.surface.is_flat)
+
+    @property
     def straight(self) -> StraightRoad | None:
         """The straight road, where it is one and no map."""
         return self.road if isinstance(self.road, StraightRoad) else None

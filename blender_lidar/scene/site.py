@@ -375,24 +375,27 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
             present = ", ".join(map(str, np.unique(recording.lane)))
             raise InputError(f"{recording.source}: no vehicle in lanes {list(settings.lanes)}; its lanes are {present}")
         recording = recording.where(in_lanes)
-    return _on_crown(checked_recording(recording, scenario), scenario.road_map)
+    return _on_surface(checked_recording(recording, scenario), scenario.road_map)
 
 
-def _on_crown(recording: Recording, road: RoadMap) -> Recording:
-    """The traffic on the crown of a carriageway: boxes stand upright on the surface under their centres.
+def _on_surface(recording: Recording, road: RoadMap) -> Recording:
+    """The traffic on a crown or on a map's heights: boxes stand upright on the surface under their centres.
 
     Half a car's width from there the surface lies up to 0.06 m higher or lower, with the steepest crown of 6 %. Boxes
-    that do not stand on the plane z = 0, as surveyed ones, stay where they are, and a note says so.
+    that do not stand on the plane z = 0, as surveyed ones, stay where they are; a note says so where that is not on the
+    surface. A level map has no heights for them.
     """
-    if road.surface.is_flat:
+    if road.surface.is_flat and not road.lanes:
         return recording
     floor, above = recording.centre_m[:, 2] - 0.5 * recording.size_m[:, 2], road.surface.height(recording.centre_m)
     if (abs(floor) > usual.ON_PLANE_M).mean() <= usual.SOME:
         return recording.with_columns(centre_m=recording.centre_m + np.outer(above, [0.0, 0.0, 1.0]))
     off = np.median(floor - above)
+    if (abs(floor - above) <= usual.ON_PLANE_M).mean() >= usual.MOST:
+        return recording
     note = (
         f"the boxes' floors are not at z = 0 but at {np.median(floor):.2f} m (median): they are not lifted to the "
-        f"crown of [road], and stand {abs(off):.2f} m {'above' if off > 0.0 else 'below'} its surface (median)"
+        f"surface of [road], and stand {abs(off):.2f} m {'above' if off > 0.0 else 'below'} it (median)"
     )
     return replace(recording, report=replace(recording.report, notes=(*recording.report.notes, note)))
 
