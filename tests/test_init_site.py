@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import json
 import math
 import re
 from importlib.util import find_spec
@@ -285,3 +286,62 @@ def test_straight_roads_are_no_crossings(tmp_path):
     path = tmp_path / "road.fcd.xml"
     path.write_text(sumo_samples.xml(sorted(rows, key=lambda row: float(row["time"]))))
     assert not is_crossing(read_traffic(path, road=unplaced))
+
+
+@needs_maps
+def test_the_shares_of_approaches_leave_as_csv_and_as_geojson_in_the_nets_projection(tmp_path, sample, monkeypatch):
+    without_charts(monkeypatch)
+    net = gzip.decompress(NET.read_bytes()).decode()
+    location = '<location netOffset="-690000.00,-5335000.00" convBoundary="0,0,1,1" origBoundary="0,0,1,1" '
+    location += 'projParameter="+proj=utm +zone=32 +ellps=WGS84 +datum=WGS84 +units=m +no_defs"/>'
+    path = tmp_path / "site.net.xml"
+    path.write_text(re.sub(r"<location [^>]*/>", location, net))
+    folder = tmp_path / "site"
+    assert run("init", folder, "--from", "sumo", sample, "--net", path, "--vehicle-types", TYPES) == 0
+    how = ("--height", 4, "--tilt-x", 15, "--pole", "corner_north_east", "--frames", 4, "--workers", 1)
+    assert run("evaluate", folder / "scene.toml", *how, "--out", tmp_path / "run") == 0
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    with (tmp_path / "run" / "approaches.csv").open() as stream:
+        rows = {row["name"]: row for row in csv.DictReader(stream) if row["by"] == "approach"}
+    shares = {one["name"]: one["after"] for one in result["groups"] if one["by"] == "approach"}
+    assert {name: float(row["after"]) for name, row in rows.items()} == pytest.approx(shares)
+    outlines = json.loads((tmp_path / "run" / "approaches.geojson").read_text())
+    assert outlines["crs"]["properties"]["name"].endswith("::32632")
+    *areas, mast = outlines["features"]
+    assert {one["properties"]["name"] for one in areas} == set(rows)
+    east = next(one for one in areas if one["properties"]["name"] == "from_east")
+    corners = np.concatenate([np.array(ring) for polygon in east["geometry"]["coordinates"] for ring in polygon])
+    np.testing.assert_array_equal(east["geometry"]["coordinates"][0][0][0], east["geometry"]["coordinates"][0][0][-1])
+    assert 690_010.0 < corners[:, 0].min() < corners[:, 0].max() < 690_080.0
+    place = result["deployment"]
+    assert mast["geometry"]["coordinates"] == pytest.approx([690_000 + place["x_m"], 5_335_000 + place["y_m"]])
+    at = result["pointing"]
+    assert (at["frame"], at["x_m"], at["y_m"]) == ("x and y of the net", place["x_m"], place["y_m"])
+
+
+def test_a_picture_of_the_site_lies_under_reach_and_blind_zones(tmp_path, sample, monkeypatch, capsys):
+    image = pytest.importorskip("matplotlib.image", reason="matplotlib is not installed")
+    pixels = np.zeros((400, 400, 3))
+    pixels[:, :, 0] = 1.0  # red, half a metre each
+    image.imsave(tmp_path / "air.png", pixels)
+    folder = tmp_path / "site"
+    with monkeypatch.context() as patched:
+        without_charts(patched)
+        assert run("init", folder, "--from", "sumo", sample, "--vehicle-types", TYPES) == 0
+    scene = folder / "scene.toml"
+    scene.write_text(
+        scene.read_text() + f'\n[plan]\nimage = "{tmp_path / "air.png"}"\nimage_points = '
+        "[[0, 400, -100.0, -100.0], [400, 400, 100.0, -100.0]]\n"
+    )
+    poles = poles_of(folder)
+    how = ("--height", 4, "--tilt-x", 15, "--pole", next(iter(poles)), "--frames", 3, "--workers", 1)
+    for name, words in (("with", ()), ("without", None)):
+        if words is None:
+            scene.write_text(scene.read_text().partition("\n[plan]")[0])
+        assert run("evaluate", scene, *how, "--out", tmp_path / name) == 0
+    for picture in ("reach.png", "blind_zones.png"):
+        red = []
+        for name in ("with", "without"):
+            found = image.imread(tmp_path / name / picture)[..., :3]
+            red.append(((found[..., 0] > 0.95) & (found[..., 1] < 0.7) & (found[..., 1] > 0.3)).mean())
+        assert red[0] > red[1] + 0.1, picture

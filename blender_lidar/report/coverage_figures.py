@@ -23,8 +23,8 @@ from .figure import (
     legend_below,
     place,
 )
-from .plan import Stand, draw_stands, north_arrow, north_name, plans, scale_bar, window_of
-from .road_plan import ASPHALT_LOOK, EMPTY_LOOK, draw_road
+from .plan import Stand, background, draw_stands, north_arrow, north_name, plans, scale_bar, window_of
+from .road_plan import ASPHALT_LOOK, EMPTY_LOOK, SEEN_THROUGH_LOOK, draw_road
 from .summary import leans, mounting_text, run_text, sides
 
 if TYPE_CHECKING:
@@ -103,7 +103,13 @@ def cells_of(table: Mapping[str, np.ndarray], side_m: float) -> Cells:
     return Cells(first * side_m, side_m, boxes, below)
 
 
-def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Sequence[ZoneSettings] = ()) -> None:
+Image = tuple[str | Path, Sequence[Sequence[float]]]
+"""A picture of the site and the points that place it, as `plan.background` takes them."""
+
+
+def plot_blind_zones(
+    path: str | Path, run: RunFolder, road: RoadMap, zones: Sequence[ZoneSettings] = (), image: Image | None = None
+) -> None:
     """Draw the share of boxes below the detectability threshold in cells of 1 or 2 m, before and after, to scale.
 
     A cell's boxes are those whose footprints overlap it; `zones` of weights are outlined.
@@ -124,7 +130,7 @@ def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Seq
     heading = "Where vehicles stay below the threshold", subtitle
     with plans(path, window, _headings(run, found), key_mm, *heading, road=road) as (figure, panels, end):
         for axes, table, (_, mount) in zip(panels, tables, sides(run.result), strict=True):
-            draw_road(axes, road, window, EMPTY_LOOK, arrows=not road.endless)
+            _draw_ground(axes, road, window, EMPTY_LOOK, image)
             shades = _draw_cells(axes, cells_of(table, side_m))
             marker = draw_stands(axes, [_stand(mount)])
             outlines = [_outline_zone(axes, zone) for zone in zones]
@@ -135,6 +141,14 @@ def plot_blind_zones(path: str | Path, run: RunFolder, road: RoadMap, zones: Seq
         few = Line2D([], [], label=f"cell of fewer than {FEW_BOXES} boxes", **few)
         empty = Rectangle((0.0, 0.0), 1.0, 1.0, label="no vehicle was there", **EMPTY_LOOK)
         legend_below(figure, [marker, few, empty, *outlines[:1]], columns=4)
+
+
+def _draw_ground(axes: Axes, road: RoadMap, window: np.ndarray, fill: dict, image: Image | None) -> None:
+    """The road, seen through where there is a picture of the site below it."""
+    if image is not None:
+        background(axes, *image)
+        fill = SEEN_THROUGH_LOOK
+    draw_road(axes, road, window, fill, arrows=not road.endless)
 
 
 def _headings(run: RunFolder, found: Sequence[str]) -> list[str]:
@@ -271,7 +285,7 @@ def reaches(table: Mapping[str, np.ndarray], xy: tuple[float, float]) -> list[Re
     return found
 
 
-def plot_reach(path: str | Path, run: RunFolder, road: RoadMap) -> None:
+def plot_reach(path: str | Path, run: RunFolder, road: RoadMap, image: Image | None = None) -> None:
     """Draw how far from each mounting, by sectors of bearing, at least half of the boxes are detectable, to scale."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -292,7 +306,7 @@ def plot_reach(path: str | Path, run: RunFolder, road: RoadMap) -> None:
         road=road,
     ) as (figure, panels, _):
         for axes, found, (_, mount), pole in zip(panels, by_side, mounts, poles, strict=True):
-            draw_road(axes, road, window, ASPHALT_LOOK, arrows=not road.endless)
+            _draw_ground(axes, road, window, ASPHALT_LOOK, image)
             for one in found:
                 _draw_sector(axes, one, pole, driven)
             _draw_rings(axes, pole, window)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ASPHALT_LOOK = {"facecolor": "#ededed", "edgecolor": "#ededed", "linewidth": 0.3}
+SEEN_THROUGH_LOOK = {"facecolor": "none", "edgecolor": "none"}
 EMPTY_LOOK = {"facecolor": "white", "edgecolor": FAINT, "hatch": "//////", "linewidth": 0.0}
 _OTHERS = {
     "bicycles": {"facecolor": "#f8f8f8", "edgecolor": "#c4c4c4", "hatch": "......", "linewidth": 0.0},

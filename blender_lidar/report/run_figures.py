@@ -56,11 +56,14 @@ def draw_charts(site: Site, run: RunFolder) -> list[str]:
         charts["convergence.png"] = partial(plot_convergence, run=run, history=run.read_history())
         if (score_map := run.read_score_map()) is not None:
             charts["score_map.png"] = partial(plot_score_map, run=run, score_map=score_map)
-    road = site.scenario.road_map
+    road, drawn_on = site.scenario.road_map, site.scenario.plan
+    image = (drawn_on.image, drawn_on.image_points) if drawn_on.image else None
     charts |= {
         "by_distance.png": partial(plot_by_distance, run=run),
-        "blind_zones.png": partial(plot_blind_zones, run=run, road=road, zones=site.scenario.objective.zones),
-        "reach.png": partial(plot_reach, run=run, road=road),
+        "blind_zones.png": partial(
+            plot_blind_zones, run=run, road=road, zones=site.scenario.objective.zones, image=image
+        ),
+        "reach.png": partial(plot_reach, run=run, road=road, image=image),
         "other_traffic.png": partial(plot_other_traffic, result=run.result),
         "clouds.png": partial(draw_clouds, site=site, run=run),
         "occupancy.png": partial(draw_occupancy, site=site, run=run),

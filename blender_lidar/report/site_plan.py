@@ -28,7 +28,7 @@ from .plan import (
     show,
     window_of,
 )
-from .road_plan import EDGE_LOOK, ENTRY_LOOK, LANE_LINE_LOOK, STOP_LINE_LOOK, draw_road
+from .road_plan import EDGE_LOOK, ENTRY_LOOK, LANE_LINE_LOOK, SEEN_THROUGH_LOOK, STOP_LINE_LOOK, draw_road
 
 _MOST_POINTS = 60_000
 _ROUND_M = 15.0  # shown around the region
@@ -258,7 +258,7 @@ def plot_mapped_plan(
         (axes,) = panels
         if image is not None:
             background(axes, *image)
-        drawn = draw_road(axes, road, window, **({"fill": _SEEN_THROUGH} if image is not None else {}))
+        drawn = draw_road(axes, road, window, **({"fill": SEEN_THROUGH_LOOK} if image is not None else {}))
         for outline in outlines:
             axes.fill(*np.asarray(outline).T, **_REGION_LOOK)
         for outline in keep_out:
@@ -281,7 +281,6 @@ def plot_mapped_plan(
 
 _STEEPEST = 1.2  # height over width
 _LONGEST_STEP_M = 30.0  # between boxes of a vehicle; farther ones are not one drive
-_SEEN_THROUGH = {"facecolor": "none", "edgecolor": "none"}
 
 
 def _draw_drives(axes, vehicle_id, xy, colours):

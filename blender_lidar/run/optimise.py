@@ -27,6 +27,7 @@ from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
 from ..statistics import FEW_BLOCKS, FEWEST_BLOCKS, best_intervals_90, best_without_block, block_sums, of_blocks
 from ..traffic.frames import NOTHING_HELD_OUT
+from .approach_files import write_approaches
 from .assumptions import assumptions, site_name
 from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, RunFolder
 from .replay import Listener, Replay
@@ -450,4 +451,5 @@ def _conclude(
         "seconds": round(time.perf_counter() - started, 3),
         "versions": versions(site.observation.caster),
     }
+    write_approaches(folder, site, result)
     return folder.finish(result)
