@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError, MissingExtraError, MissingFileError
+from blender_lidar.road.approaches import approaches_to
 from blender_lidar.road.sumo_net import net_location, read_net
 from blender_lidar.traffic import read_traffic
 from tests.waiting import WAIT_S
@@ -237,6 +238,7 @@ def test_a_net_without_lanes_in_its_junctions_leads_straight_on(made):
 
     assert leads(direct) == leads(road)
     assert leads(direct)["wc_0"] == {"ce_0"}
+    assert sorted(approaches_to(direct, ["c"])) == sorted(approaches_to(road, ["c"])) == ["ec", "nc", "wc"]
 
 
 def test_lanes_have_the_use_that_their_permissions_give_them(made):

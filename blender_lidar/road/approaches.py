@@ -8,9 +8,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from ..errors import InputError, unknown_name
-from .road_map import Junction, RoadMap, wrap_angle
+from .road_map import Junction, RoadMap, polygon_holds, wrap_angle
 
 _STRAIGHT_RAD, _BACK_RAD = math.radians(45.0), math.radians(150.0)  # of turning, up to which and from which on
+_AT_END_M = 1.0  # from a lane's end to the junction that it leads into
 _POINTS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 
 Spans = dict[int, tuple[float, float]]
@@ -34,11 +35,25 @@ def junction_named(road: RoadMap, name: str, where: str) -> Junction:
 def approaches_to(road: RoadMap, junctions: Iterable[str]) -> list[str]:
     """Roads of vehicles that lead into some junctions, by name, in the order of the map's lanes."""
     inner, found = set(junctions), {}
-    for lane in road.lanes:
+    outlines = [one.outline_m for one in road.junctions if one.name in inner]
+    for number, lane in enumerate(road.lanes):
+        if lane.junction or lane.use != "vehicles":
+            continue
         into = {road.lanes[row].junction for row in lane.leads_to}
-        if not lane.junction and lane.use == "vehicles" and into & inner:
+        # Maps without lanes inside junctions: the lane ends at the junction and leads to the ones beyond.
+        ends = into == {""} and any(_away_from(outline, road.points_m[number][-1]) <= _AT_END_M for outline in outlines)
+        if into & inner or ends:
             found[lane.road] = None
     return list(found)
+
+
+def _away_from(polygon: np.ndarray, xy: np.ndarray) -> float:
+    """Distance of a place from a polygon's outline [m], 0 inside."""
+    if polygon_holds(polygon, xy[None])[0]:
+        return 0.0
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    part = (((xy - polygon) * edge).sum(axis=1) / np.square(edge).sum(axis=1)).clip(0.0, 1.0)
+    return float(np.hypot(*(polygon + part[:, None] * edge - xy).T).min())
 
 
 def approach_spans(road: RoadMap, name: str, distance_m: float, where: str) -> Spans:
