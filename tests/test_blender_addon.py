@@ -16,9 +16,12 @@ from blender_lidar.addon import live, optimising, properties, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.toml_table import to_toml
 from blender_lidar.world.blender.objects import lidars
 from tests.six_scenes import SCENES
 from tests.small_scene import REGION, without_times, write_scene
+from tests.test_heights import SLOPE
+from tests.test_heights import scene as height_scene
 from tests.test_sides import scene as two_way
 
 
@@ -66,7 +69,35 @@ def in_the_median(folder: Path) -> Path:
     return two_way(folder, turned=True, road={"drives_on": "left"}, deployment={"side": "median", "facing_deg": 270.0})
 
 
-@pytest.mark.parametrize("made", [*SCENES.values(), in_the_median], ids=[*SCENES, "in the median"])
+def at_an_intersection(folder: Path) -> Path:
+    """The corner of a crossing by its net; the mast faces the middle."""
+    pytest.importorskip("sumolib", reason="sumolib, of the extra maps, is not installed")
+    scenes = Path(__file__).parents[1] / "scenes"
+    path = folder / "corner.toml"
+    settings = {
+        "traffic": {"path": str(scenes / "crossing_sample.xml.gz"), "format": "sumo", "frames": 3, "block_s": 90.0},
+        "road": {"net": str(scenes / "crossing.net.xml.gz")},
+        "region": {"junction": "middle"},
+        "sensor": {"name": "RS-16", "range_gate_m": 60.0},
+        "deployment": {"x_m": 19.0, "y_m": 19.0, "height_m": [2.0, 6.0], "tilt_x_deg": [0.0, 25.0]},
+        "search": {"particles": 4, "iterations": 2},
+    }
+    path.write_text(to_toml(settings))
+    return path
+
+
+def on_a_slope(folder: Path) -> Path:
+    """A map with heights: a mast at 62 m."""
+    scene = height_scene(folder, SLOPE, height_m=[3.0, 5.0], tilt_x_deg=[0.0, 20.0])
+    path = folder / "slope.toml"
+    path.write_text(to_toml(scene.with_whole_paths()))
+    return path
+
+
+MADE = {**SCENES, "in the median": in_the_median, "at an intersection": at_an_intersection, "on a slope": on_a_slope}
+
+
+@pytest.mark.parametrize("made", MADE.values(), ids=MADE)
 def test_optimise_and_scan_are_those_of_the_command_line(made, tmp_path):
     path = made(tmp_path)
     lidar = loaded(path)

@@ -27,7 +27,7 @@ from ..names import METRIC_NAMES
 from ..road.mapped import MappedRoad, map_of
 from ..road.road_map import RoadMap
 from ..road.straight import StraightRoad
-from ..scene.deployment import MOUNTING_OR_LEAN, SEARCHED
+from ..scene.deployment import MOUNTING_OR_LEAN, SEARCHED, facing_deg
 from ..scene.mounting import COORDINATES, LEANS, Mounting, changed_mounting, hung_at, mounting_from
 from ..scene.settings import DECLARED, GATE
 from ..sensors.model import model_names
@@ -342,10 +342,14 @@ def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None) -> Mountin
         For a LiDAR that is mirrored, or a road frame that is tilted or scaled.
     """
     road = road_of(scene_of(lidar)) if road is None else road
-    filed = kept_of(lidar.lidar).tables.get("deployment", {})
-    hung = hung_at(pose_of(lidar), road, math.radians(filed.get("facing_deg", 90.0)))
+    tables, pose = kept_of(lidar.lidar).tables, pose_of(lidar)
+    filed, towards = tables.get("deployment", {}), tables.get("mast", {}).get("towards")
+    facing = filed.get("facing_deg", 90.0 if towards is None else facing_deg((pose.x_m, pose.y_m), towards))
+    hung = hung_at(pose, road, math.radians(facing))
     table = hung.as_table()
-    return mounting_from({key: round(table[key], _POSE_DIGITS) + 0.0 for key in COORDINATES}, road, hung)
+    found = {key: round(table[key], _POSE_DIGITS) + 0.0 for key in COORDINATES}
+    found["yaw_deg"] = math.fmod(found["yaw_deg"], 360.0)  # a full circle less than a digit is none
+    return mounting_from(found, road, hung)
 
 
 def road_table(scene: bpy.types.Scene | None) -> dict[str, object]:

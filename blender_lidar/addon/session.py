@@ -91,10 +91,18 @@ def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None,
         own, changes_of_sensor = _sensor_of(lidar)
         tables |= own | {"deployment": deployment_table(lidar)}
         changes |= changes_of_sensor
+    elif any(tables.get("road", {}).get(key) for key in ("net", "opendrive")):
+        tables["deployment"] = {"x_m": 0.0, "y_m": 0.0}  # a map has no place of its own for a mast that is not there
     if here:
         changes["model", "workers"] = 1, "the add-on"
     where = partial(_where, scene.blender_lidar.source if kept.tables else "")
-    return scenario_of(tables, where=where, source=f"scene {scene.name}", folder=Path(kept.folder), overrides=changes)
+    made = partial(scenario_of, where=where, source=f"scene {scene.name}", folder=Path(kept.folder), overrides=changes)
+    scenario = made(tables)
+    towards = None if lidar is None else properties.kept_of(lidar.lidar).tables.get("mast", {}).get("towards")
+    if towards is not None and scenario.deployment.middle_xy != tuple(towards) and not scenario.deployment.poles:
+        facing = properties.mounting_of(lidar).as_table()["facing_deg"]  # the region has moved since, and no mast
+        return made(tables | {"deployment": tables["deployment"] | {"facing_deg": facing}})
+    return scenario
 
 
 def _sensor_of(lidar):
@@ -198,7 +206,9 @@ def fill_lidar(lidar: bpy.types.Object, tables: Mapping[str, Mapping], folder: s
     own = {str(Path(folder, key).resolve()) if is_sensor_file(key) else key: value for key, value in own.items()}
     fields = {"sensor": sensor_table(lidar), "deployment": _bounds_of(group)}
     own["name"] = fields["sensor"]["name"]  # with its whole path
-    properties.keep_tables(group, {"sensor": own, "deployment": deployment}, folder, fields)
+    towards = scenario.deployment.places[0].towards  # where masts on a map face unless the file says it
+    mast = {} if towards is None else {"towards": list(towards)}
+    properties.keep_tables(group, {"sensor": own, "deployment": deployment, "mast": mast}, folder, fields)
     group.schema = properties.SCHEMA
 
 
