@@ -7,10 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from blender_lidar.cli import main
 from blender_lidar.clouds.snapshot import mounted_sensor
 from blender_lidar.scene.scenario import scenario_of
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.toml_table import to_toml
 
 HEADER = "frame,vehicle_id,class,x_m,y_m,length_m,width_m,height_m,heading_deg,time_s"
 
@@ -148,3 +150,14 @@ def test_level_boxes_on_a_slope_of_six_per_cent_score_nearly_as_pitched_ones(tmp
     pitched = Evaluator(level.search, level.observation, level.scoring).totals([(mounting,)])
     assert slope.objective == pytest.approx(pitched.objective, rel=0.25)
     assert one.scenario.road_map.surface.is_flat is False
+
+
+def test_a_detector_refuses_heights_in_one_line(tmp_path, capsys):
+    path = tmp_path / "slope.toml"
+    path.write_text(to_toml(scene(tmp_path, SLOPE, height_m=[3.0, 5.0]).with_whole_paths()))
+    for verb in ("detect", "optimise", "evaluate"):
+        words = () if verb == "detect" else ("--detector", "pillars")
+        assert main([verb, str(path), *words, "--out", str(tmp_path / verb)]) == 2
+        told = capsys.readouterr().err
+        assert "[road] opendrive has heights; a detector needs a level map" in told
+        assert told.count("\n") == 1

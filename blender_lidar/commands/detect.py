@@ -43,7 +43,7 @@ from ..report.tables import table_text
 from ..run.folder import DETECTION
 from ..scene.mounting import Mounting
 from ..scene.provenance import versions
-from ..scene.scenario import shipped_scenes
+from ..scene.scenario import Scenario, shipped_scenes
 from ..scene.settings import ModelSettings
 from ..scene.site import Site, prepare
 from ..scoring.evaluation import workplace_of
@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--axes, --pose: are options for folders of recorded clouds, but {args.scene} is a scene")
     check_detector(args.detector)
     scenario = scenario_from(args)
+    check_level(scenario)
     mounting = mounting_from(args, scenario)
     folder = _folder(args, lambda: default_folder(scenario, "detection"))
     result = judge_at(prepare(scenario, [mounting]), mounting, args.detector, folder)
@@ -97,6 +98,12 @@ def check_detector(detector: str) -> None:
         load_weights(weights_of(detector))
     elif not Path(detector).exists():
         raise MissingFileError(f"--detector: {detector}: there is no such file; allowed: {', '.join(DETECTORS)}, FILE")
+
+
+def check_level(scenario: Scenario) -> None:
+    """Refuse a map with heights: detectors look for one plane of ground near z = 0."""
+    if scenario.straight is None and not scenario.road_map.surface.is_flat:
+        raise InputError(f"{scenario.source}: [road] opendrive has heights; a detector needs a level map")
 
 
 def detection_summary(result: Mapping) -> str:

@@ -64,11 +64,12 @@ def report(args: argparse.Namespace, site: Site, run: RunFolder) -> int:
     return say_result(args, outcome_text(run, files(run, charts)) + found, run.result)
 
 
-def _check_detector(args: argparse.Namespace) -> None:
+def _check_detector(args: argparse.Namespace, scenario: Scenario) -> None:
     if args.detector is not None:
-        from .detect import check_detector
+        from .detect import check_detector, check_level
 
         check_detector(args.detector)
+        check_level(scenario)
 
 
 # --- The verbs --------------------------------------------------------------------------------------------
@@ -77,8 +78,8 @@ def _check_detector(args: argparse.Namespace) -> None:
 def run_optimise(args: argparse.Namespace) -> int:
     """Search for the best mounting; returns the exit code."""
     check_resume(args)
-    _check_detector(args)
     scenario = scenario_from(args)
+    _check_detector(args, scenario)
     if not all(place.bounds for place in scenario.deployment.places):
         raise InputError(
             f"{args.scene}: [deployment] fixes every coordinate; give at least one a pair [low, high], or use evaluate"
@@ -100,8 +101,8 @@ def run_optimise(args: argparse.Namespace) -> int:
 
 def run_evaluate(args: argparse.Namespace) -> int:
     """Score one mounting; returns the exit code."""
-    _check_detector(args)
     scenario = scenario_from(args)
+    _check_detector(args, scenario)
     mounting = mounting_from(args, scenario)
     folder = folder_from(args, scenario)
     site = prepare(scenario, [mounting])

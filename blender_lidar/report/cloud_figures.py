@@ -113,7 +113,7 @@ def plot_clouds(
     window = window_of([corners, poles], _MARGIN_M)
     with plans(path, window, headings, _KEY_MM, title, subtitle, road=road) as (figure, panels, bottom):
         for sight, axes in zip(sights, panels, strict=True):
-            dots, entries = _draw_panel(axes, sight, corners)
+            dots, entries = _draw_panel(axes, sight, corners, road)
             _draw_site(axes, road, window)
         bar = place(figure, 0.25 * WIDTH_MM, bottom + 1.5, 0.5 * WIDTH_MM, 2.5)
         label = "Height above the road of points on vehicles [m]"
@@ -129,7 +129,9 @@ def _draw_site(axes: Axes, road: RoadMap | None, window: np.ndarray) -> None:
         scale_bar(axes)
 
 
-def _draw_panel(axes: Axes, sight: Sight, corners: np.ndarray) -> tuple[PathCollection, list[Artist]]:
+def _draw_panel(
+    axes: Axes, sight: Sight, corners: np.ndarray, road: RoadMap | None
+) -> tuple[PathCollection, list[Artist]]:
     """The cloud, boxes and LiDAR; returns the points on vehicles, darker the higher, and the legend's entries.
 
     Boxes are solid if detectable, else dashed and grey inside.
@@ -141,6 +143,7 @@ def _draw_panel(axes: Axes, sight: Sight, corners: np.ndarray) -> tuple[PathColl
     x, y, _ = sight.cloud.xyz[~on_vehicle].T
     axes.plot(x, y, ".", color=FAINT, markersize=1.0, markeredgewidth=0.0, zorder=1)
     x, y, z = sight.cloud.xyz[on_vehicle].T
+    z = z if road is None else z - road.surface.height(sight.cloud.xyz[on_vehicle])
     scale = {"cmap": colours(HEIGHT_COLOURS), "vmin": 0.0, "vmax": _HIGHEST_M}
     dots = axes.scatter(x, y, c=z, s=1.5, linewidths=0.0, zorder=3, **scale)
     solid = {"facecolor": "white", "edgecolor": INK, "linewidth": 0.7}
