@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
 import shlex
 from collections.abc import Callable
@@ -57,7 +58,7 @@ def _region_of(site: SiteLayout) -> tuple[list[str], float]:
             *(f"#   {name}" for name in site.approaches),
             '# approaches = ["...", "..."] takes some of them; polygon_m or centre_m with radius_m any other area.',
             "[region]",
-            f"junction = {site.junction.name!r}".replace("'", '"'),
+            f"junction = {json.dumps(site.junction.name, ensure_ascii=False)}",
             f"approach_m = {APPROACH_M}",
         ]
         settings = RegionSettings(junction=site.junction.name, approach_m=APPROACH_M)

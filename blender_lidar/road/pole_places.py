@@ -29,7 +29,9 @@ class PolePlace(NamedTuple):
     y_m: float
 
 
-def propose_poles(road: RoadMap, middle_xy: tuple[float, float], radius_m: float) -> list[PolePlace]:
+def propose_poles(
+    road: RoadMap, middle_xy: tuple[float, float], radius_m: float, wide: str = "corner"
+) -> list[PolePlace]:
     """A pole wherever the ground between the roads comes nearest to a place: local minima of the distance.
 
     Parameters
@@ -40,6 +42,8 @@ def propose_poles(road: RoadMap, middle_xy: tuple[float, float], radius_m: float
         What the poles look at [m, site frame].
     radius_m : float
         Of what they look at about it [m]; poles stand at most 25 m beyond.
+    wide : str
+        What ground is called that is no island or median.
 
     Returns
     -------
@@ -65,7 +69,7 @@ def propose_poles(road: RoadMap, middle_xy: tuple[float, float], radius_m: float
     for one in sorted(found, key=lambda one: one[0]):
         if all(math.dist(one[1], other[1]) >= _APART_M for other in kept):
             kept.append(one)
-    return _named(kept[:_MOST_POLES], middle_xy)
+    return _named(kept[:_MOST_POLES], middle_xy, wide)
 
 
 def _least_about(values: np.ndarray) -> np.ndarray:
@@ -77,12 +81,12 @@ def _least_about(values: np.ndarray) -> np.ndarray:
     return values == least
 
 
-def _named(found: list[tuple[float, np.ndarray, bool]], middle_xy: tuple[float, float]) -> list[PolePlace]:
+def _named(found: list[tuple[float, np.ndarray, bool]], middle_xy: tuple[float, float], wide: str) -> list[PolePlace]:
     """Places with names of their own: what each stands on, where from the middle, and a number from the second on."""
     poles, taken = [], {}
     for _, (x, y), narrow in found:
         where = point_of_compass(math.atan2(y - middle_xy[1], x - middle_xy[0])).replace("-", "_")
-        name = f"{'median' if narrow else 'corner'}_{where}"
+        name = f"{'median' if narrow else wide}_{where}"
         taken[name] = taken.get(name, 0) + 1
         name = name if taken[name] == 1 else f"{name}_{taken[name]}"
         poles.append(PolePlace(name, round(float(x), _ROUND_DIGITS), round(float(y), _ROUND_DIGITS)))

@@ -123,7 +123,8 @@ def propose_site(
         ways = ways_by_map(recording, road, [moved.name])
     else:
         inside, ways = away <= radius, ways_by_track(recording, middle_xy)
-    poles = propose_poles(road, middle_xy, radius)
+    crosses = moved is not None or whole is None
+    poles = propose_poles(road, middle_xy, radius, "corner" if crosses else "roadside")
     if not poles:
         raise InputError(
             f"{recording.source}: no room for a pole off the lanes within {radius:.0f} m of the site's middle"
