@@ -133,7 +133,7 @@ def test_boxes_that_do_not_stand_at_z_0_are_not_lifted_to_the_crown(surveyed, li
     offset = surveyed * (recording.vehicle_id + 2) / 6
     crown = 0.02 * (10.98 - abs(recording.centre_m[:, 1] - 12.98))
     np.testing.assert_allclose(floor, offset + crown if lifted else offset, atol=1e-12)
-    assert any("not lifted to the crown" in note for note in recording.report.notes) != lifted
+    assert any("not lifted to the surface" in note for note in recording.report.notes) != lifted
 
 
 @pytest.mark.parametrize("compiled", [True, False])
