@@ -43,7 +43,7 @@ SLOPE = elevation(0, 50.0, RISE)  # z = 62 at x = 0
 CREST = elevation(0, 0, 0) + elevation(200, 0.0, 0.0, -1.0 / 400.0)  # level, then falling as a parabola beyond x = 0
 
 
-def scene(folder, profile, *, z_m=None, caster="raster", **deployment):
+def scene(folder, profile, *, z_m=None, caster="exact", **deployment):
     path, table = folder / "road.xodr", folder / "boxes.csv"
     path.write_text(xodr(profile))
     rows = []
@@ -110,13 +110,12 @@ def test_a_crest_hides_the_road_beyond_it_as_geometry_says(tmp_path):
     assert x.max() <= 40.5
 
 
-@pytest.mark.parametrize("caster", ["exact", "raster"])
-def test_casters_agree_on_heights_to_the_last_digit(tmp_path, caster):
-    if caster == "raster":
-        pytest.importorskip("numba", reason="numba is not installed")
+@pytest.mark.parametrize(("caster", "needs"), [("raster", "numba"), ("embree", "embreex"), ("bvh", "bpy")])
+def test_casters_agree_on_heights_to_the_last_digit(tmp_path, caster, needs):
+    pytest.importorskip(needs, reason=f"{needs} is not installed")
     _, found = totals(scene(tmp_path, SLOPE, caster=caster))
     (tmp_path / "other").mkdir()
-    _, other = totals(scene(tmp_path / "other", SLOPE, caster="raster" if caster == "exact" else "exact"))
+    _, other = totals(scene(tmp_path / "other", SLOPE))
     np.testing.assert_array_equal(found.objective, other.objective)
 
 

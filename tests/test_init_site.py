@@ -110,7 +110,11 @@ def test_a_net_gives_its_junction_four_corners_and_a_scene_that_runs(tmp_path, s
     for name, place in poles.items():
         gap, _ = scenario.road_map.clearance(place)
         assert gap >= 1.0, name
-    site = prepare(load_scenario(folder / "scene.toml", {("traffic", "frames"): (3, "here")}))
+    site = prepare(
+        load_scenario(
+            folder / "scene.toml", {("traffic", "frames"): (3, "here"), ("model", "caster"): ("exact", "here")}
+        )
+    )
     assert any(frame.counted.any() for frame in site.search)
     how = ("--frames", 3, "--particles", 6, "--iterations", 2, "--workers", 1, "--out", tmp_path / "run")
     assert run("optimise", folder / "scene.toml", *how) == 0
@@ -175,7 +179,11 @@ def test_traffic_alone_at_a_crossing_gives_a_driven_area_and_poles_off_the_track
     poles = poles_of(folder)
     assert len(poles) >= 4
     assert all(scenario.road_map.clearance(place)[0] >= 2.5 for place in poles.values())
-    site = prepare(load_scenario(folder / "scene.toml", {("traffic", "frames"): (3, "here")}))
+    site = prepare(
+        load_scenario(
+            folder / "scene.toml", {("traffic", "frames"): (3, "here"), ("model", "caster"): ("exact", "here")}
+        )
+    )
     assert any(frame.counted.any() for frame in site.search)
 
 

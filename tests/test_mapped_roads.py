@@ -88,7 +88,7 @@ def test_a_scene_in_utm_scores_as_the_same_scene_at_the_origin(tmp_path):
         for number, (x, y) in enumerate(starts)
         for frame in range(12)
     ]
-    for path, (dx, dy) in ((table, (0.0, 0.0)), (moved, away)):
+    for path, (dx, dy) in ((table, (0.0, 0.0)), (moved, away.tolist())):
         lines = [f"{frame},{number},car,{x + dx!r},{y + dy!r},4.5,1.8,1.5,0.0" for frame, number, x, y in rows]
         header = "frame,vehicle_id,class,x_m,y_m,length_m,width_m,height_m,heading_deg"
         path.write_text("\n".join([header, *lines]))
