@@ -19,7 +19,7 @@ def dense_traffic(seed: int = 1, vehicles: int = 130, length_m: float = 500.0, f
     """Bumper to bumper on six lanes from y = 2 m on, boxes apart from each other, headings a little off the road's."""
     rng = np.random.default_rng(seed)
     lane = rng.integers(0, 6, vehicles)
-    index = rng.choice(len(CLASSES), vehicles, p=[0.68, 0.22, 0.05, 0.02, 0.03]).astype(np.int8)
+    index = rng.choice(5, vehicles, p=[0.68, 0.22, 0.05, 0.02, 0.03]).astype(np.int8)
     x = np.empty(vehicles)
     for number in range(6):
         mine = np.flatnonzero(lane == number)

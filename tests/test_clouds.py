@@ -414,7 +414,7 @@ def test_files_of_kitti_and_nuscenes_are_read_and_wrong_sizes_refused(tmp_path):
     rows.tofile(tmp_path / "sweep.pcd.bin")
     np.testing.assert_array_equal(read_points(tmp_path / "000001.bin")[0], rows.reshape(-1, 4)[:, :3])
     np.testing.assert_array_equal(read_points(tmp_path / "sweep.pcd.bin")[0], rows.reshape(-1, 5)[:, :3])
-    label = np.array([10 | 7 << 16, 40, 252 | 8 << 16, 30 | 9 << 16, 18], "<u4")  # a person is no vehicle
+    label = np.array([10 | 7 << 16, 40, 252 | 8 << 16, 81 | 9 << 16, 18], "<u4")  # a traffic sign is no road user
     label.tofile(tmp_path / "000001.label")
     assert read_points(tmp_path / "000001.bin")[1].tolist() == [7, -1, 8, -1, 0]
     label[:4].tofile(tmp_path / "000001.label")

@@ -132,7 +132,9 @@ def test_every_text_layout_gives_the_same_recording(tmp_path, expected, layout, 
     path.write_bytes(gzip.compress(data) if packed else data)
     found = read_traffic(path, vehicle_types=tmp_path / "types.rou.xml")
     assert_same(found, expected)
-    assert (found.report.rows_read, found.report.left_out, len(found)) == (len(CROWD), 2, len(CROWD) - 2)
+    assert (found.report.rows_read, found.report.left_out, len(found)) == (len(CROWD), 1, len(CROWD) - 1)
+    (walking,) = np.flatnonzero(found.class_index == CLASSES.index("pedestrian"))
+    assert found.vehicle_id[walking] > found.vehicle_id[found.class_index != CLASSES.index("pedestrian")].max()
 
 
 def test_chunks_do_not_show(tmp_path, expected, monkeypatch):
@@ -250,7 +252,9 @@ def test_lanes_count_from_1_the_rightmost(tmp_path, lane, number):
         ('vClass="coach"', "bus", [14.0, 2.6, 4.0]),
         ('vClass="tram"', "bus", [22.0, 2.4, 3.2]),
         ('vClass="moped"', "motorcycle", [2.1, 0.78, 1.7]),
-        ('vClass="bicycle"', "motorcycle", [1.6, 0.65, 1.7]),
+        ('vClass="bicycle"', "bicycle", [1.6, 0.65, 1.7]),
+        ('vClass="scooter"', "motorcycle", [1.2, 0.5, 1.7]),
+        ('vClass="wheelchair"', "pedestrian", [1.2, 0.72, 1.2]),
         ('vClass="hov" length="5.5"', "van", [5.5, 1.8, 1.9]),
     ],
 )
@@ -263,7 +267,7 @@ def test_a_type_has_the_size_given_else_its_class_default(tmp_path, attributes, 
     [
         ("lorry@vehicle 7", "truck", 12.5),
         ("DEFAULT_VEHTYPE", "car", 5.0),
-        ("DEFAULT_BIKETYPE", "motorcycle", 1.6),
+        ("DEFAULT_BIKETYPE", "bicycle", 1.6),
         ("DEFAULT_TAXITYPE@3", "car", 5.0),
     ],
 )
@@ -346,10 +350,44 @@ def test_a_mesoscopic_recording_is_told_as_such(tmp_path):
 def test_what_drives_on_no_road_is_left_out_and_counted(tmp_path):
     rows = [samples.row(time, id=kind, type=kind) for time in (0, 0.1) for kind in ("rail_urban", "bus", "pedestrian")]
     recording = read_traffic(write(tmp_path, rows))
-    assert [CLASSES[index] for index in recording.class_index] == ["bus", "bus"]
-    assert recording.report.left_out == 4
-    assert "rows of vehicles on no road: 2 of pedestrian, 2 of rail_urban" in recording.report.notes
-    assert "4 rows left out: no vehicle on a road" in recording.report.lines()
+    assert [CLASSES[index] for index in recording.class_index] == ["bus", "pedestrian"] * 2
+    assert recording.report.left_out == 2
+    assert "rows of vehicles on no road: 2 of rail_urban" in recording.report.notes
+    assert "2 rows left out: no vehicle on a road" in recording.report.lines()
+    alone = recording.vehicles_alone
+    assert [CLASSES[index] for index in alone.class_index] == ["bus", "bus"]
+    assert "4 rows left out: no vehicle on a road" in alone.report.lines()
+    assert "Pedestrians: 1 left out; [objective] classes that name pedestrian score them" in alone.report.assumed
+
+
+def test_a_person_is_another_than_the_vehicle_of_the_same_id_and_stands_by_its_own_type(tmp_path):
+    rows = [samples.row(0.1 * k, id="1", x=10.0 + k) for k in range(3)]
+    rows += [samples.row(0.1 * k, "person", id="1", x=50.0, y=8.0, angle=90, type="walker") for k in range(3)]
+    walker = '<vType id="walker" vClass="pedestrian" length="0.4" width="0.5" height="1.6"/>'
+    for types in ((), (TYPES.replace("</routes>", walker + "</routes>"),)):
+        files = {"vehicle_types": write_types(tmp_path, *types)} if types else {}
+        found = read_traffic(write(tmp_path, rows), **files)
+        walking = found.class_index == CLASSES.index("pedestrian")
+        assert (sorted(set(found.vehicle_id[~walking])), sorted(set(found.vehicle_id[walking]))) == ([1], [2])
+        length = 0.4 if types else 0.215
+        np.testing.assert_allclose(found.centre_m[walking, 0], 50.0 - 0.5 * length)
+        assert set(found.size_m[walking, 0]) == {length}
+
+
+def test_persons_in_a_vehicle_are_left_out(tmp_path):
+    rows = [samples.row(0.1 * k, x=10.0 + k) for k in range(3)]
+    rows += [samples.row(0.1 * k, "person", id="rider", x=10.0 + k) for k in range(3)]
+    rows += [samples.row(0.2, "person", id="waits", x=15.0)]
+    found = read_traffic(write(tmp_path, rows))
+    assert (found.report.left_out, (found.class_index == CLASSES.index("pedestrian")).sum()) == (3, 1)
+
+
+def test_persons_in_another_frame_than_vehicles_are_left_out_and_a_note_says_so(tmp_path):
+    rows = [samples.row(0.1 * k, x=460_000.0 + k, y=5_430_000.0) for k in range(3)]
+    rows += [samples.row(0.1 * k, "person", id="p", x=k, y=3.0) for k in range(3)]
+    found = read_traffic(write(tmp_path, rows))
+    assert (len(found), found.report.left_out) == (3, 3)
+    assert any("as SUMO writes them with --fcd-output.utm" in note for note in found.report.notes)
 
 
 # --- defects ----------------------------------------------------------------------------------------------------------

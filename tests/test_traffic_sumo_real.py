@@ -99,9 +99,10 @@ def assert_same(given, expected, within_m, within_deg):
 
 def test_every_kind_of_vehicle_is_there_with_its_size(recording):
     found = {(CLASSES[index], *size) for index, size in zip(recording.class_index, recording.size_m, strict=True)}
-    sedan, untyped, bike = ("car", 4.4, 1.85, 1.45), ("car", 5.0, 1.8, 1.5), ("motorcycle", 1.6, 0.65, 1.7)
-    assert found == {sedan, untyped, bike, ("truck", 11.5, 2.4, 2.4), ("van", 6.5, 2.16, 2.86)}
-    assert recording.report.left_out == 2 * len(recording.frames)
+    sedan, untyped, bike = ("car", 4.4, 1.85, 1.45), ("car", 5.0, 1.8, 1.5), ("bicycle", 1.6, 0.65, 1.7)
+    walker = "pedestrian", 0.215, 0.478, 1.719
+    assert found == {sedan, untyped, bike, ("truck", 11.5, 2.4, 2.4), ("van", 6.5, 2.16, 2.86), walker}
+    assert recording.report.left_out == len(recording.frames)  # the container
     assert recording.time_step_s == pytest.approx(0.1)
 
 

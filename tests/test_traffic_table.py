@@ -12,7 +12,7 @@ from blender_lidar.traffic import format_of, read_table, read_traffic
 from blender_lidar.traffic import source as csv_rows
 from blender_lidar.traffic.presets import PRESETS, meta_files
 from blender_lidar.traffic.table import BOX_NEEDED
-from blender_lidar.traffic.vehicles import RepairReport
+from blender_lidar.traffic.vehicles import CLASSES, RepairReport
 from tests.traffic_samples import refused
 
 HEADER = "frame,vehicle_id,class,x_m,y_m,z_m,length_m,width_m,height_m,heading_deg"
@@ -114,15 +114,21 @@ def test_what_cannot_be_inferred_or_has_nearly_the_right_name_is_asked_for(left_
         read_table(driven(left_out, rename))
 
 
-def test_words_for_classes_are_known_and_persons_are_left_out_and_counted():
+def test_words_for_classes_are_known_and_who_has_no_size_has_the_class_s():
     table = driven()
     words = {"car": ["Car", "small-vehicle", "PKW"], "truck": ["truck_bus", "Large-Vehicle", "Lorry"]}
     kinds = [words[kind][row // 3 % 3] for row, kind in enumerate(table["class"].tolist())]
-    table["class"] = np.array([*kinds[:-3], "pedestrian", "Person", "pedestrian/bicycle"])
-    table["length_m"][-3:] = 0.0  # as points have
+    table["class"] = np.array([*kinds[:-3], "pedestrian/bicycle", "Person", "cyclist"])
+    table["length_m"][-3:] = [0.0, np.nan, 0.0]  # as points have
     recording = read_table(table)
-    assert recording.report.left_out == 3
-    np.testing.assert_array_equal(recording.class_index == 2, recording.vehicle_id == 2)
+    walking, cycling = (recording.class_index == CLASSES.index(name) for name in ("pedestrian", "bicycle"))
+    assert (walking.sum(), cycling.sum(), recording.report.left_out) == (2, 1, 0)
+    assert recording.size_m[walking, :2].tolist() == [[0.8, 0.6]] * 2
+    assert recording.size_m[cycling, :2].tolist() == [[1.76, 0.6]]
+    assert "Sizes: by class, where the table has none" in recording.report.assumed
+    assert recording.report.sizes_repaired == len(set(recording.vehicle_id[walking | cycling]))
+    motor = ~(walking | cycling)
+    np.testing.assert_array_equal(recording.class_index[motor] == 2, recording.vehicle_id[motor] == 2)
 
 
 def as_preset(preset, folder):
@@ -255,7 +261,7 @@ def test_repeated_rows_are_dropped_and_counted(tmp_path):
     [
         ("frame", "1.5", "frame is 1.5; allowed: a whole number"),
         ("vehicle_id", "", "vehicle_id is missing"),
-        ("class", "ufo", "unknown class 'ufo'; allowed: car, van, truck, bus, motorcycle"),
+        ("class", "ufo", "unknown class 'ufo'; allowed: car, van, truck, bus, motorcycle, bicycle, pedestrian"),
         ("x_m", "abc", "x_m is 'abc'; allowed: a number, -1e9 to 1e9"),
         ("z_m", "inf", "z_m is 'inf'; allowed: a number, -1e9 to 1e9"),
         ("length_m", "-4.5", "length_m is -4.5; allowed: more than 0, 0.001 to 1000"),

@@ -20,7 +20,7 @@ from ..clouds.live import DRAG_M, LiveFrame, Look
 from ..errors import InputError
 from ..names import METRIC_NAMES
 from ..scene.mounting import ANGLES, LEANS, PLACE, Mounting, mounting_from
-from ..scene.observation import CountedFrame, vehicle_weights
+from ..scene.observation import CountedFrame, scored, vehicle_weights
 from ..scene.region import region_of
 from ..scene.scenario import Scenario, scenario_of
 from ..scene.settings import DATASHEET, GATE, SensorSettings, is_sensor_file
@@ -341,7 +341,8 @@ def dragged_off(lidar: bpy.types.Object, mounting: Mounting) -> bool:
 
 def _made_ready(scenario: Scenario, vehicles: Vehicles, mounting: Mounting) -> LiveFrame:
     caster, region = resolve(scenario.model.caster, "caster"), region_of(scenario.region, scenario.road_map)
-    frame = CountedFrame(vehicles, region.holds(vehicles), vehicle_weights(vehicles, scenario.objective))
+    counted = region.holds(vehicles) & scored(vehicles, scenario.objective)
+    frame = CountedFrame(vehicles, counted, vehicle_weights(vehicles, scenario.objective))
     scenery = standing_scenery(scenario, caster, [mounting], margin_m=2.0 * DRAG_M)
     observation = observation_of(scenario, lattice_of(scenario.sensor), caster, scenery)
     scoring = scoring_of(scenario) if frame.counted.any() else None

@@ -296,10 +296,11 @@ def _read_las(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | No
 
 # --- KITTI's velodyne files, and SemanticKITTI's labels beside them ---------------------------------------
 
-# SemanticKITTI's numbers of our classes, in the order of `traffic.vehicles.CLASSES`: a van is a car there.
-SEMANTIC_CLASSES = np.array([10, 10, 18, 13, 15])
+# SemanticKITTI's numbers of our classes, in the order of `traffic.vehicles.CLASSES`: a van is a car there, and a bicycle
+# with its rider a bicyclist.
+SEMANTIC_CLASSES = np.array([10, 10, 18, 13, 15, 31, 30])
 ROAD = 40
-_MOVING = (252, 255, 256, 257, 258, 259)  # what SemanticKITTI calls vehicles that move
+_MOVING = (252, 253, 254, 255, 256, 257, 258, 259)  # what SemanticKITTI calls road users that move
 
 
 def write_kitti(path: str | Path, cloud: PointCloud, header: dict) -> None:
@@ -364,7 +365,7 @@ def levelled(xyz: np.ndarray, pose: Pose) -> np.ndarray:
 
 # Names of the tool's own object types, in the order of `traffic.vehicles.CLASSES`.
 SUSTECHPOINTS_PARTS = ("lidar", "label")
-OBJECT_TYPES = ("Car", "Van", "Truck", "Bus", "Motorcycle")
+OBJECT_TYPES = ("Car", "Van", "Truck", "Bus", "Motorcycle", "BicycleRider", "Pedestrian")
 
 
 def write_sustechpoints(folder: str | Path, cloud: PointCloud, vehicles: Vehicles, header: dict) -> None:

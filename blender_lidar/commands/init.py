@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     _check(folder, [path, *map(Path, given.get("vehicle_types", ())), *maps])
     kind = format_of(path) if kind == TRAFFIC_FORMATS[0] else kind
     unplaced = StraightRoad(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
-    recording = read_traffic(path, format=kind, road=unplaced, **given)
+    recording = read_traffic(path, format=kind, road=unplaced, **given).vehicles_alone
     if not asked.settings.driven or asked.at or asked.junction or (kind != "ngsim" and is_crossing(recording)):
         if kind == "ngsim":
             raise InputError("--net, --road, --at and --junction: do not apply to NGSIM, whose roads are straight")

@@ -21,7 +21,7 @@ from ..clouds.scan import FrameScan, PointCloud, Turn
 from ..road.road_map import RoadMap
 from ..scene import usual
 from ..scene.mounting import Mounting
-from ..scene.observation import Observation
+from ..scene.observation import Observation, scored
 from ..scene.provenance import versions
 from ..scene.region import Region
 from ..scene.scenario import Scenario
@@ -304,8 +304,8 @@ def _traffic(plan: DatasetPlan, scan: PlannedScan) -> tuple[Vehicles, np.ndarray
     vehicles = _moved(plan.frames[scan.frame], scan.station_m, scan.mirrored, axis)
     vehicles = vehicles.select(plan.region.distance(vehicles) <= plan.reach_m)
     away = np.hypot(*(vehicles.centre_m[:, :2] - scan.mount.xy).T)
-    inside = plan.region.holds(vehicles)
-    labelled = inside | (away <= plan.observation.lidar.max_range_m)
+    inside = plan.region.holds(vehicles) & scored(vehicles, plan.scenario.objective)
+    labelled = plan.region.holds(vehicles) | (away <= plan.observation.lidar.max_range_m)
     if scan.split == VAL:
         labelled &= ~np.isin(vehicles.vehicle_id, plan.taught_ids)
     return vehicles, inside & labelled, labelled

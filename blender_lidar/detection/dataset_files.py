@@ -295,7 +295,8 @@ def _write_npz(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     write_npz(path, made.cloud, {**sensor.cloud_header(vehicles), "versions": plan.versions, "scan": about}, more)
 
 
-_KITTI_TYPES = ("Car", "Van", "Truck", "Truck", "Cyclist")  # by class: KITTI has no bus, and no motorcycle
+# By class: KITTI has no bus, and no motorcycle.
+_KITTI_TYPES = ("Car", "Van", "Truck", "Truck", "Cyclist", "Cyclist", "Pedestrian")
 _OCCLUDED = (0.5, 0.9)  # visibility from which a vehicle is partly occluded, and from which it is fully visible
 # The camera of `kitti_camera`: x right, y down, z ahead; without an image its lens is of focal length 1.
 _KITTI_CALIBRATION = (
@@ -336,11 +337,8 @@ def _write_kitti(folder: Path, made: Sample, plan: DatasetPlan) -> None:
 # --- nuScenes: https://www.nuscenes.org/nuscenes, docs/schema_nuscenes.md of its devkit ------------------------------
 
 _VERSION, _SWEEPS = "v1.0-trainval", "samples/LIDAR_TOP"
-_CATEGORIES = dict(
-    zip(
-        CLASSES, ("vehicle.car", "vehicle.car", "vehicle.truck", "vehicle.bus.rigid", "vehicle.motorcycle"), strict=True
-    )
-)
+_VEHICLES = ("car", "car", "truck", "bus.rigid", "motorcycle", "bicycle")
+_CATEGORIES = dict(zip(CLASSES, [*map("vehicle.{}".format, _VEHICLES), "human.pedestrian.adult"], strict=True))
 _VISIBLE = {"1": (0.0, 0.4), "2": (0.4, 0.6), "3": (0.6, 0.8), "4": (0.8, 1.0)}
 _MAP = "maps/none.png"
 

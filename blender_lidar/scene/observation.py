@@ -14,7 +14,7 @@ from ..metrics.metric import Field, FrameBoxes
 from ..road.road_map import polygon_holds
 from ..sensors.beams import BeamLattice
 from ..sensors.lidar import Lidar
-from ..traffic.vehicles import Vehicles
+from ..traffic.vehicles import PEDESTRIAN, Vehicles
 from .settings import ObjectiveSettings
 
 
@@ -131,6 +131,13 @@ def vehicle_weights(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndar
     of_class = np.array([objective.class_weights.get(name, 1.0) for name in vehicles.class_name.tolist()])
     of_zones = np.array([*(zone.weight for zone in objective.zones), 1.0])
     return of_class * of_zones[first_zone(objective, vehicles.centre_m[:, :2])]
+
+
+def scored(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray:
+    """Which vehicles are of a class that [objective] scores, (n,) bool."""
+    if objective.classes is None:
+        return vehicles.class_index != PEDESTRIAN
+    return np.isin(vehicles.class_name, objective.classes)
 
 
 def first_zone(objective: ObjectiveSettings, xy: np.ndarray) -> np.ndarray:

@@ -56,7 +56,8 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
         In one line what was seen, what is usual and what is probably meant, for the first that is not accepted.
     """
     recording = _on_plane(recording, scenario)
-    seen = _Seen(recording, scenario)
+    vehicles = recording.vehicles_alone
+    seen = _Seen(vehicles, scenario)
     for name, check in _CHECKS.items():
         if name in ("tracks", "overlaps") and seen.warnings:
             continue  # they follow from a warning that is there already
@@ -67,8 +68,8 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
             )
         if text:
             seen.warnings[name] = text
-    notes = [*recording.report.notes, *_size_notes(seen), *track_notes(recording, seen.tracks), *coupled(recording)]
-    notes += place_notes(recording, scenario, seen.placed, "carriageway" in seen.warnings)
+    notes = [*recording.report.notes, *_size_notes(seen), *track_notes(vehicles, seen.tracks), *coupled(vehicles)]
+    notes += place_notes(vehicles, scenario, seen.placed, "carriageway" in seen.warnings)
     report = replace(recording.report, warnings=tuple(seen.warnings.items()), notes=tuple(notes))
     return replace(recording, report=report)
 

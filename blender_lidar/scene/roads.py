@@ -67,6 +67,7 @@ def road_map_from(table: TomlTable, road: Road, recordings: Sequence[TrafficSett
     if not road.driven:
         return map_of(road)
     read = joined_recordings([read_settings(one, road) for one in recordings], [one.name or "" for one in recordings])
+    read = read.vehicles_alone
     area = driven_area(read.centre_m, read.size_m, read.heading_rad)
     if area is None:
         raise InputError(

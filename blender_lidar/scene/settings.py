@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from ..names import (
     BARRIERS,
     CASTERS,
+    CLASSES,
     DEFAULT_CELL_M,
     DETAILS,
     FRAMES,
@@ -93,7 +94,7 @@ class TrafficSettings:
         region, and at least one cycle of a signal that the traffic shows.
     height_m : mapping
         Heights by class [m], where the recording gives none, as NGSIM's; by default car 1.5, van 1.9, truck 3.0,
-        long_truck 3.8 (from 9 m on), bus 3.2, motorcycle 1.4.
+        long_truck 3.8 (from 9 m on), bus 3.2, motorcycle 1.4, bicycle and pedestrian 1.73.
     accept : tuple of str or None
         Go on in spite of a warning about the traffic, which is then printed with the results; may be repeated; NAME is
         the warning that stopped the run.
@@ -118,7 +119,7 @@ class TrafficSettings:
     holdout: float = setting(0.4, low=0.0, high=0.9)
     block_s: float | None = setting(None, above=0.0)
     height_m: Mapping[str, float] = setting(
-        allowed=("car", "van", "truck", "long_truck", "bus", "motorcycle"), above=0.0, high=10.0
+        allowed=("car", "van", "truck", "long_truck", *CLASSES[3:]), above=0.0, high=10.0
     )
     accept: tuple[str, ...] | None = setting(None, allowed=(*WARNINGS, FRAMES), option="--accept", metavar="NAME")
 
@@ -313,6 +314,9 @@ class ObjectiveSettings:
     tolerance : Tolerance or None
         Installation errors to allow for, to either side: tilt_deg=1,height_m=0.05, also yaw_deg; aim=mean (default)
         maximises the mean over these errors, aim=low what nine of ten installations reach; none: no errors.
+    classes : tuple of str or None
+        Classes that are scored, while other vehicles only hide them; by default all but pedestrian. Pedestrians are
+        left out unless they are named here, as their hiding changes no choice.
     class_weights : mapping
         Weight of each class in the objective; by default 1.
     zones : tuple
@@ -327,9 +331,8 @@ class ObjectiveSettings:
     view: str = setting("mean", allowed=VIEWS)
     loss: float | None = setting(None, low=-_MOST_LOSS, high=_MOST_LOSS)
     tolerance: Tolerance | None = setting(None, option="--tolerance")
-    class_weights: Mapping[str, float] = setting(
-        allowed=("car", "van", "truck", "bus", "motorcycle"), low=0.0, high=_LARGEST_WEIGHT
-    )
+    classes: tuple[str, ...] | None = setting(None, allowed=CLASSES)
+    class_weights: Mapping[str, float] = setting(allowed=CLASSES, low=0.0, high=_LARGEST_WEIGHT)
     zones: tuple[ZoneSettings, ...] = setting(())
 
 

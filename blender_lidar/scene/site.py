@@ -21,14 +21,14 @@ from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recor
 from ..traffic.fleet import with_variety
 from ..traffic.frames import few_vehicles
 from ..traffic.movements import lane_names, ways_by_map, ways_by_track
-from ..traffic.vehicles import unknown_frame
+from ..traffic.vehicles import CLASSES, PEDESTRIAN, unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
 from ..world.scenery import Scenery, along_road, barrier, box, boxes_reach, join, road_surface
 from . import usual
 from .mount_checks import check_mount_is_clear, extent, mount_notes
 from .mounting import Mounting
-from .observation import WAY_COLUMNS, CountedFrame, Observation, Scoring, check_weights, vehicle_weights
+from .observation import WAY_COLUMNS, CountedFrame, Observation, Scoring, check_weights, scored, vehicle_weights
 from .place_checks import nobody_there
 from .plausibility import checked_recording
 from .provenance import run_identity, unchanged_inputs
@@ -228,7 +228,7 @@ def prepare(
     plans = [
         plan_frames(
             recording,
-            region.holds,
+            lambda vehicles: region.holds(vehicles) & scored(vehicles, objective),
             count=settings.frames,
             ids=settings.frame_ids,
             spacing_s=settings.spacing_s,
@@ -240,9 +240,10 @@ def prepare(
     names = [one.name or "" for one in scenario.recordings]
     recording, plan = joined_recordings(recordings, names), joined_plans(plans, recordings, names)
     frames = [recording.vehicles(frame) for frame in (*plan.search, *plan.holdout)]
-    check_mount_is_clear(scenario, frames)
+    driven = [frame.select(frame.class_index != PEDESTRIAN) for frame in frames]  # who walk give way to masts
+    check_mount_is_clear(scenario, driven)
     for mount in given:
-        check_mount_is_clear(scenario, frames, {"--x, --y": mount})
+        check_mount_is_clear(scenario, driven, {"--x, --y": mount})
     reach = reach_of(scenario, given)
     searched = tuple(_counted(frame, region, reach, objective) for frame in frames[: len(plan.search)])
     held_out = tuple(
@@ -251,6 +252,7 @@ def prepare(
     for number, own in enumerate(recordings):
         of_recording = plan.search_recording == number
         if not any(searched[at].counted.any() for at in np.flatnonzero(of_recording)):
+            _check_classes(own, scenario)
             raise nobody_there(own, region, int(of_recording.sum()), scenario)
     judging = len({number for frame in held_out for number in frame.vehicles.vehicle_id[frame.counted].tolist()})
     notes = [*plan.notes, _out_of_range(scenario, given, searched), *_same_notes(recordings, names)]
@@ -262,6 +264,17 @@ def prepare(
     check_weights(objective, searched, held_out, scenario.where("objective", ""))
     observation, scoring = observation_of(scenario, lattice, caster, standing), scoring_of(scenario)
     return Site(scenario, lattice.model, observation, scoring, recording, plan, searched, held_out, identity)
+
+
+def _check_classes(recording: Recording, scenario: Scenario) -> None:
+    """Refuse classes of which a recording has none."""
+    asked = scenario.objective.classes
+    there = [CLASSES[index] for index in np.unique(recording.class_index)]
+    if asked is not None and not set(asked) & set(there):
+        raise InputError(
+            f"{scenario.where('objective', 'classes')}: {', '.join(asked)}: {recording.source} has none; its classes "
+            f"are {', '.join(there)}"
+        )
 
 
 def _same_notes(recordings: Sequence[Recording], names: Sequence[str]) -> Iterator[str]:
@@ -369,6 +382,8 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
     settings, world = scenario.traffic, scenario.world
     recording = read_settings(settings, scenario.road)
     recording = with_variety(recording, world.variety, world.variety_seed, number)
+    if CLASSES[PEDESTRIAN] not in (scenario.objective.classes or ()):
+        recording = recording.vehicles_alone
     if settings.lanes is not None:
         in_lanes = np.isin(recording.lane, settings.lanes)
         if not in_lanes.any():
@@ -409,7 +424,7 @@ def frame_of(recording: Recording, frame: int, option: str) -> Vehicles:
 
 def _counted(vehicles, region, reach, objective: ObjectiveSettings, not_counted=()) -> CountedFrame:
     near = vehicles.select(region.distance(vehicles) <= reach)
-    counted = region.holds(near) & ~np.isin(near.vehicle_id, not_counted)
+    counted = region.holds(near) & scored(near, objective) & ~np.isin(near.vehicle_id, not_counted)
     return CountedFrame(near, counted, vehicle_weights(near, objective))
 
 

@@ -16,13 +16,15 @@ SAMPLE, TRACK_ROWS = 20_000, 100_000  # boxes, and rows of whole tracks, that ar
 FEW, SOME, MANY = 0.02, 0.05, 0.2  # shares: measurement errors; what is worth a note; what is worth a stop
 MINORITY, HALF, MOST, ALL = 0.4, 0.5, 0.8, 0.95  # under a half; a half; what a guess must set right; except for errors
 
-# --- Sizes [m]: least and largest length, width and height, from mopeds to road trains, with room for measurement
+# --- Sizes [m]: least and largest length, width and height, from children to road trains, with room for measurement
 SIZES_M = {
     "car": ((2.6, 8.0), (1.1, 2.8), (0.9, 2.8)),
     "van": ((2.5, 20.0), (1.1, 3.0), (1.0, 4.5)),
     "truck": ((3.0, 40.0), (1.3, 3.1), (1.2, 5.0)),
     "bus": ((5.0, 60.0), (1.5, 3.1), (1.8, 5.0)),
     "motorcycle": ((0.8, 4.0), (0.25, 2.0), (0.6, 2.6)),
+    "bicycle": ((0.8, 4.0), (0.25, 2.0), (0.6, 2.6)),
+    "pedestrian": ((0.1, 2.0), (0.1, 2.0), (0.6, 2.6)),
 }
 UNITS = {"feet": FOOT_M, "centimetres": 0.01, "millimetres": 0.001}  # what sizes may be in for metres
 LONG_M, HIGHER_M = 7.0, 0.2  # trucks and buses this long are higher than cars by more than this

@@ -17,7 +17,7 @@ from ..casting.protocol import StandingScenery
 from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
-from ..run.what_if import mixes
+from ..run.what_if import pedestrians_hide, mixes, without_pedestrians
 from ..scene.site import Site, lattice_of
 from ..scoring.fidelity import Fidelity, coarse_observation
 from ..sensors.beams import beam_lattice
@@ -32,12 +32,16 @@ SECTIONS = (TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH)
 
 
 def traffic_variations(site: Site, draws: int) -> list[Variation]:
-    """Lorries by lane, light traffic, rush hour and a queue, of `what_if.mixes`; what is drawn `draws` times."""
-    return [
+    """Lorries by lane, light traffic, rush hour and a queue, of `what_if.mixes`, what is drawn `draws` times; and no
+    pedestrians, where some hide vehicles.
+    """
+    found = [
         Variation(TRAFFIC, mix.what, mix.value, partial(mix.change, seed=number), number)
         for mix in mixes(site, site.scenario.deployment.nominal_xy)
         for number in (range(1, draws + 1) if mix.is_drawn else (0,))
     ]
+    none = [Variation(TRAFFIC, "pedestrians", "left out", without_pedestrians)] if pedestrians_hide(site) else []
+    return [*found, *none]
 
 
 # --- metric: the score with other constants, and other scores, of the same returns ------------------------------------
@@ -183,6 +187,7 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
 
     return [
         *_median_barrier(site, own),
+        *_pedestrians(site, own),
         Ablation("body shape", "body, not box", ((box, body),)),
         Ablation("finer shape", "detailed, not body", ((body, detailed),)),
         _azimuth_offsets(site, own),
@@ -200,6 +205,14 @@ def _median_barrier(site: Site, own: Variation) -> list[Ablation]:
     barrier_at = f"{where}, y {middle:g} m"
     with_barrier = Variation(ABLATION, "median barrier", barrier_at, partial(_with_barrier, y_m=middle))
     return [Ablation("median barrier", barrier_at, ((own, with_barrier),))]
+
+
+def _pedestrians(site: Site, own: Variation) -> list[Ablation]:
+    """Pedestrians who only hide vehicles, if there are any."""
+    if not pedestrians_hide(site):
+        return []
+    none = Variation(ABLATION, "pedestrians", "left out", without_pedestrians)
+    return [Ablation("pedestrians", "who hide vehicles", ((none, own),))]
 
 
 def _with_barrier(site: Site, y_m: float) -> Site:

@@ -10,7 +10,8 @@ import numpy as np
 from ..names import KINDS
 from .vehicles import CLASSES, Vehicles
 
-_KIND_OF_CLASS = np.array([KINDS.index({"van": "car", "truck": KINDS[1], "bus": KINDS[1]}.get(c, c)) for c in CLASSES])
+_KINDS_OF = {"van": "car", "truck": KINDS[1], "bus": KINDS[1], "bicycle": "motorcycle"}
+_KIND_OF_CLASS = np.array([-1 if c == "pedestrian" else KINDS.index(_KINDS_OF.get(c, c)) for c in CLASSES])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -73,6 +73,8 @@ FLEET = {
     ),
     "bus": (Body("bus", 0.6, (2.9, 3.3)), Body("coach", 0.4, (3.4, 3.8))),
     "motorcycle": (Body("motorcycle", 1.0, (1.25, 1.6)),),
+    "bicycle": (Body("bicycle", 1.0, (1.55, 1.9)),),
+    "pedestrian": (Body("pedestrian", 1.0, (1.5, 1.9)),),
 }
 """The bodies of each kind of vehicle, as `HEIGHTS_M` names the kinds, the usual one first."""
 KIND_OF_BODY = {body.name: kind for kind, bodies in FLEET.items() for body in bodies}

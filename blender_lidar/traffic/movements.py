@@ -41,12 +41,12 @@ class Ways(NamedTuple):
 
 
 def ways_by_map(recording: Recording, road: RoadMap, junctions: Sequence[str]) -> Ways:
-    """The ways of a recording's vehicles across some junctions of a map, of each vehicle the first.
+    """The ways of a recording's vehicles across some junctions of a map, of each vehicle the first; none of pedestrians.
 
     A vehicle that is not seen to leave has the exit of its lane, where that leads to one alone.
     """
     inner, approaches = set(junctions), approaches_to(road, junctions)
-    part = _thinned(recording)
+    part = _thinned(recording.vehicles_alone)
     lane = road.locate(part.centre_m, part.heading_rad).lane
     found = {}
     for vehicle, rows in _tracks(part):
@@ -80,7 +80,7 @@ def ways_by_track(recording: Recording, middle_xy: tuple[float, float]) -> Ways:
 
     One that is not seen to pass the middle of the site has no movement.
     """
-    part, found = _thinned(recording), {}
+    part, found = _thinned(recording.vehicles_alone), {}
     away = np.hypot(*(part.centre_m[:, :2] - middle_xy).T)
     for vehicle, rows in _tracks(part):
         heading, nearest = part.heading_rad[rows], int(away[rows].argmin())

@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import InputError, MissingFileError
 from .header import TableLayout, fields_of
 from .source import Column, first_lines, open_bytes, read_rows
-from .table import BOX_COLUMNS, read_table
+from .table import READ_COLUMNS, read_table
 from .vehicles import Recording
 
 
@@ -69,7 +69,7 @@ PRESETS = {
     ),
 }
 _HIGHD_WAYS = {"1": 180.0, "2": 0.0}  # drivingDirection: 1 along the upper lanes, to the left
-_READ = {**BOX_COLUMNS, "time_ms": Column("milliseconds"), "run": Column("a whole number", whole=True)}
+_READ = {**READ_COLUMNS, "time_ms": Column("milliseconds"), "run": Column("a whole number", whole=True)}
 
 
 def preset_of(path: str | Path) -> str | None:

@@ -29,7 +29,7 @@ from .source import (
     vehicle_ids,
     vehicle_numbers,
 )
-from .sumo_types import is_config, read_types, start_tags, types_of
+from .sumo_types import is_config, person_type, read_types, start_tags, types_of
 from .tracks import drop_repeats
 from .vehicles import CLASSES, Placing, Recording, RepairReport, ground_of
 
@@ -48,8 +48,9 @@ def read_sumo(
     """Read floating car data, ``sumo --fcd-output``: XML or CSV, plain or gzip, or Parquet.
 
     Frame numbers count time steps, as `frames_of` finds them. Vehicles whose ids are all whole numbers keep them; else
-    they are numbered from 0 by first appearance. Lanes count from 1, the rightmost: SUMO's index plus one. Headings are
-    SUMO's own, neither smoothed nor limited.
+    they are numbered from 0 by first appearance; persons, who may have the same ids, are numbered after them. Persons
+    in a vehicle are left out. Lanes count from 1, the rightmost: SUMO's index plus one. Headings are SUMO's own,
+    neither smoothed nor limited.
 
     Parameters
     ----------
@@ -77,7 +78,11 @@ def read_sumo(
     defined = read_types(*files) if files else None
     rows, names, report = _collected(path)
     types, assumed, unknown = types_of(names["type"], defined, f"{path}: vehicle_types {', '.join(map(str, files))}")
+    types += [person_type(name, defined) for name in names["person_type"]]
+    names["type"] += names["person_type"]
+    unknown = np.append(unknown, np.zeros(len(names["person_type"]), dtype=bool))
     frame, step_s, notes = frames_of(rows["time"])
+    notes += report.notes
     content = np.column_stack([rows[name] for name in ("x", "y", "angle", "type", "lane")])
     kept, duplicates, repeated = drop_repeats(rows["id"], frame, content)
     on_road = np.array([kind.class_name is not None for kind in types])[rows["type"][kept]]
@@ -90,6 +95,7 @@ def read_sumo(
         counts = ", ".join(f"{count:,} of {short(name)}" for name, count in sorted(strangers.items()))
         notes.append(f"rows of vehicles on no road: {counts}")
     vehicle_id, numbered = vehicle_numbers(names["id"])
+    vehicle_id = np.append(vehicle_id, 1 + vehicle_id.max() + np.arange(len(names["person"])))
     notes += numbered
     rows, frame = {name: column[kept[on_road]] for name, column in rows.items()}, frame[kept[on_road]]
     cars = np.unique(rows["id"][unknown[rows["type"]]])
@@ -98,7 +104,7 @@ def read_sumo(
     heading = np.radians(90.0 - rows["angle"])
     forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     placing = Placing(origin_m or (0.0, 0.0), heading_deg or 0.0)
-    # SUMO records the front centre.
+    # SUMO records the front centre, of persons too (`MSPModel_Striping`, where they walk by stripes).
     centre = placing.points(np.column_stack([rows["x"], rows["y"]]) - size[:, :1] / 2 * forward)
     ground = ground_of(centre, rows["z"])
     return Recording.from_rows(
@@ -172,30 +178,30 @@ FCD_NEEDED = ("time", "id", "x", "y", "angle")
 _TEXTS = ("id", "type", "lane")
 _NO_POSITION = -(2.0**30)  # SUMO's INVALID_DOUBLE: the vehicle is nowhere, as while it teleports
 _KINDS = ("vehicle", "person", "container")
+_CONTAINER = "DEFAULT_CONTAINERTYPE"  # what a container is, whatever it is called
+_OF_PERSONS = {"id": "person", "type": "person_type"}  # whose ids and types are names of their own
 
 
 def _collected(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, list[str]], RepairReport]:
-    """All rows that are vehicles somewhere, checked: columns (n,), the texts behind codes, and counts.
+    """All rows that are somewhere, checked: columns (n,), the texts behind codes, and counts.
 
     ``time`` is in ms, as SUMO's clock counts, and ascends; ``z`` is NaN where the file has none; ``id``, ``type`` and
     ``lane`` are places in the lists of texts, which are in order of first appearance, a missing type or lane being the
-    empty text.
+    empty text; ids and types of persons, ``person`` and ``person_type``, count on after those of vehicles.
     """
-    known: dict[str, dict[str, int]] = {name: {} for name in _TEXTS}
+    known: dict[str, dict[str, int]] = {name: {} for name in (*_TEXTS, *_OF_PERSONS.values())}
     parts: list[dict[str, np.ndarray]] = []
-    rows_read = left_out = 0
+    rows_read = 0
     latest_ms = -(10**15)
     for rows in {"parquet": _parquet_rows, "xml": _xml_rows}.get(kind_of_fcd(path), _csv_rows)(path):
-        vehicle = rows.columns["tag"] == "vehicle"
-        others = np.isin(rows.columns["tag"], _KINDS[1:])
-        rows_read += int(vehicle.sum() + others.sum())
-        left_out += int(others.sum())
+        used = rows.columns["tag"] != ""
+        rows_read += int(used.sum())
         if rows_read > MAX_ROWS:
             raise InputError(f"{path}: more than {MAX_ROWS:,} rows; split the file")
-        if not vehicle.any():
+        if not used.any():
             continue
-        rows = rows if vehicle.all() else rows.select(vehicle)
-        part = {name: (vehicle_ids if name == "id" else codes)(rows, name, index) for name, index in known.items()}
+        rows = rows if used.all() else rows.select(used)
+        part = _coded(rows, known)
         part |= {name: rows.numbers(name, column) for name, column in FCD_COLUMNS.items()}
         part["time"] = np.rint(1000.0 * part["time"]).astype(np.int64)
         early = np.flatnonzero(np.diff(part["time"], prepend=latest_ms) < 0)
@@ -206,17 +212,59 @@ def _collected(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, list[
     names = parts[0] if parts else ()
     columns = {"x": np.zeros(0)} | {name: np.concatenate([part[name] for part in parts]) for name in names}
     somewhere = columns["x"] != _NO_POSITION
-    if not somewhere.any():
+    if not (somewhere & (columns.get("id", columns["x"]) >= 0)).any():
         raise InputError(f"{path}: no vehicle in {rows_read:,} rows; at least one is needed")
+    off_map = int((~somewhere).sum())
     columns = {name: column[somewhere] for name, column in columns.items()}
+    carried, notes = _in_vehicles(columns), ()
+    if _elsewhere(columns):
+        carried, notes = columns["id"] < 0, (_PERSONS_ELSEWHERE,)
+    columns = {name: column[~carried] for name, column in columns.items()}
+    for name in _OF_PERSONS:
+        columns[name] = np.where(columns[name] < 0, len(known[name]) - 1 - columns[name], columns[name])
     xy = np.stack([columns["x"], columns["y"]])
     if (np.abs(xy).max(axis=1) <= (180, 90)).all() and 0 < np.ptp(xy, axis=1).max() < _WITHIN_DEGREES:
         raise InputError(
             f"{path}: x and y are longitude and latitude; metres are needed: run SUMO without --fcd-output.geo, "
             "or with --fcd-output.utm"
         )
-    report = RepairReport(rows_read=rows_read, left_out=left_out, off_map=int((~somewhere).sum()))
+    report = RepairReport(rows_read=rows_read, left_out=int(carried.sum()), off_map=off_map, notes=notes)
     return columns, {name: list(index) for name, index in known.items()}, report
+
+
+def _coded(rows: Rows, known: dict[str, dict[str, int]]) -> dict[str, np.ndarray]:
+    """The columns of texts as places in their lists, (n,) each; of persons' ids and types -1 and less."""
+    person = rows.columns["tag"] == "person"
+    part = {}
+    for name in _TEXTS:
+        part[name] = np.empty(len(rows), dtype=np.int64)
+        for which, own in ((~person, name), (person, _OF_PERSONS.get(name, name))):
+            if which.any():
+                found = (vehicle_ids if name == "id" else codes)(rows.select(which), name, known[own])
+                part[name][which] = found if own == name else -1 - found
+    return part
+
+
+def _in_vehicles(columns: dict[str, np.ndarray]) -> np.ndarray:
+    """Which rows are of persons in vehicles, (n,) bool: they are where a vehicle is at the same time."""
+    person = columns["id"] < 0
+    if not person.any():
+        return person
+    places = np.column_stack([columns["time"], columns["x"], columns["y"]]).view("V24")[:, 0]
+    return person & np.isin(places, places[~person])
+
+
+_APART_M = 10_000.0
+_PERSONS_ELSEWHERE = (
+    "persons are left out: they are kilometres from all vehicles, as SUMO writes them with --fcd-output.utm"
+)
+
+
+def _elsewhere(columns: dict[str, np.ndarray]) -> bool:
+    """Whether persons are in another frame than vehicles: SUMO writes vehicles alone in UTM."""
+    person = columns["id"] < 0
+    middles = [[np.median(columns[axis][which]) for axis in "xy"] for which in (person, ~person) if which.any()]
+    return len(middles) == 2 and float(np.hypot(*np.subtract(*middles))) > _APART_M
 
 
 # --- XML --------------------------------------------------------------------------------------------------
@@ -249,6 +297,8 @@ def _xml_rows(path: str | Path) -> Iterator[Rows]:
                         f"{path}:{line}: is of a mesoscopic run, whose vehicles have no places of their own; run SUMO "
                         "without --mesosim"
                     )
+                if name == "container":
+                    name, attributes["type"] = "person", _CONTAINER
                 rows.append((name, time, *map(attributes.get, names)))
                 lines.append(line)
         if rows:
@@ -263,8 +313,9 @@ def _xml_rows(path: str | Path) -> Iterator[Rows]:
 # element columns of its own.
 
 _PARQUET_ROWS = 50_000
-_MARKS = ("tag", "person_id", "container_id")  # further columns that tell what a row is
-_OPTIONAL = ("type", "lane", "z", *_MARKS)
+_OWN = {f"{kind}_{name}": FCD_COLUMNS[name] for kind in _KINDS[1:] for name in ("x", "y", "angle", "z")}
+_MARKS = ("tag", *(f"{kind}_{name}" for kind in _KINDS[1:] for name in ("id", "type")))  # that tell what a row is
+_OPTIONAL = ("type", "lane", "z", *_MARKS, *_OWN)
 
 
 def _csv_rows(path: str | Path) -> Iterator[Rows]:
@@ -273,7 +324,7 @@ def _csv_rows(path: str | Path) -> Iterator[Rows]:
     delimiter = delimiter_of(text, ())
     layout = TableLayout(_attributes(fields_of(text, delimiter)), delimiter, line + 1)
     layout.check(FCD_NEEDED, _OPTIONAL, f"{path}:{line}")
-    yield from map(_with_tags, read_rows(path, layout, FCD_COLUMNS, (*_TEXTS, *_MARKS)))
+    yield from map(_with_tags, read_rows(path, layout, FCD_COLUMNS | _OWN, (*_TEXTS, *_MARKS)))
 
 
 def _parquet_rows(path: str | Path) -> Iterator[Rows]:
@@ -329,7 +380,10 @@ def _attributes(header: Sequence[str]) -> list[str]:
 
 
 def _with_tags(rows: Rows) -> Rows:
-    """The same rows with the column ``tag``: vehicle, person or container, or nothing in an empty timestep."""
+    """The same rows with the column ``tag``: vehicle, person or nothing, as in an empty timestep.
+
+    SUMO's own columns do not tell persons from containers, whose types do; its tool gives both columns of their own.
+    """
 
     def given(name: str) -> np.ndarray:
         values = rows.columns.get(name, np.full(len(rows), None))
@@ -339,13 +393,20 @@ def _with_tags(rows: Rows) -> Rows:
         return (values != "") & (values == values) & np.not_equal(values, None)  # NaN is not equal to itself
 
     there = given("id") | given("x")
-    other = ~there & (given("person_id") | given("container_id"))
+    columns, other = dict(rows.columns), np.zeros(len(rows), dtype=bool)
+    for kind in _KINDS[1:]:
+        own = ~there & given(f"{kind}_id")
+        other |= own
+        for name in ("id", "type", "x", "y", "angle", "z") if own.any() else ():
+            theirs = columns.get(f"{kind}_{name}", np.full(len(rows), None))
+            columns[name] = np.where(own, theirs, columns.get(name, np.full(len(rows), None)))
+        if kind == "container" and own.any():
+            columns["type"] = np.where(own, _CONTAINER, columns["type"])
     if "lane" in rows.columns:
         other |= there & ~given("lane")
     if "tag" in rows.columns:
         other |= there & np.isin(rows.columns["tag"].astype(str), _KINDS[1:])
-    tag = np.select([other, there], ["person", "vehicle"], "")
-    return replace(rows, columns={**rows.columns, "tag": tag})
+    return replace(rows, columns={**columns, "tag": np.select([other, there], ["person", "vehicle"], "")})
 
 
 # --- Which frame an instant of SUMO's floating car data is: times are in the files, numbers are not -------

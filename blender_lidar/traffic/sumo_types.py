@@ -53,7 +53,7 @@ class VehicleType(NamedTuple):
     Attributes
     ----------
     class_name : str or None
-        Ours; None for what is no vehicle on a road.
+        Ours; None for what is no vehicle on a road, nor a pedestrian.
     size_m : (float, float, float)
         Length, width and height [m]; of no account for what is on no road.
     """
@@ -64,7 +64,7 @@ class VehicleType(NamedTuple):
 
 _CARS = ("ignoring", "private", "authority", "army", "vip", "passenger", "hov", "taxi", "evehicle")
 _ON_RAILS = ("rail_urban", "subway", "rail", "rail_electric", "rail_fast", "cable_car")
-_ON_NO_ROAD = ("pedestrian", "wheelchair", "container", "ship", "aircraft", "drone")
+_ON_NO_ROAD = ("container", "ship", "aircraft", "drone")
 DEFAULT_TYPES = {
     **dict.fromkeys((*_CARS, "custom1", "custom2"), VehicleType("car", (5.0, 1.8, 1.5))),
     **dict.fromkeys(("emergency", "delivery"), VehicleType("van", (6.5, 2.16, 2.86))),
@@ -75,8 +75,10 @@ DEFAULT_TYPES = {
     "trailer": VehicleType("truck", (16.5, 2.55, 4.0)),
     "motorcycle": VehicleType("motorcycle", (2.2, 0.9, 1.5)),
     "moped": VehicleType("motorcycle", (2.1, 0.78, 1.7)),
-    "bicycle": VehicleType("motorcycle", (1.6, 0.65, 1.7)),
+    "bicycle": VehicleType("bicycle", (1.6, 0.65, 1.7)),
     "scooter": VehicleType("motorcycle", (1.2, 0.5, 1.7)),
+    "pedestrian": VehicleType("pedestrian", (0.215, 0.478, 1.719)),
+    "wheelchair": VehicleType("pedestrian", (1.2, 0.72, 1.2)),
     **dict.fromkeys((*_ON_RAILS, *_ON_NO_ROAD), VehicleType(None, (1.0, 1.0, 1.0))),
 }
 """By SUMO's vehicle class, of which nothing else is known; 5 m by default say nothing about a van, and a tram stands in
@@ -93,7 +95,8 @@ _DRAWN_AS = {
     **dict.fromkeys(("passenger/van", "delivery", "emergency"), "van"),
     **dict.fromkeys(("truck", "truck/semitrailer", "truck/trailer", "firebrigade"), "truck"),
     **dict.fromkeys(("bus", "bus/coach", "bus/flexible", "bus/trolley"), "bus"),
-    **dict.fromkeys(("motorcycle", "moped", "bicycle", "scooter"), "motorcycle"),
+    **dict.fromkeys(("motorcycle", "moped", "scooter"), "motorcycle"),
+    "bicycle": "bicycle",
 }
 # Words in the names that people and tools give to types, beside the classes themselves.
 _WORDS = {
@@ -203,6 +206,14 @@ def _read_type(attributes: Mapping[str, str], line: int, place: str) -> VehicleT
     if name == "car" and not drawn_as and given.get("length", 0.0) > VAN_LONGER_THAN_M and is_larger:
         name, size["height"] = "van", HEIGHTS_M["van"]
     return VehicleType(name, tuple((size | given).values()))
+
+
+def person_type(name: str, defined: Mapping[str, VehicleType] | None) -> VehicleType:
+    """The type of a person or a container, which may be defined elsewhere: SUMO's pedestrian unless more is known."""
+    known = {**_BUILT_IN, **(DEFAULT_TYPES if defined is None else defined)}
+    kind = known.get(name) or DEFAULT_TYPES.get(class_in_name(name) or "")
+    is_person = kind is not None and kind.class_name in (None, "pedestrian")
+    return kind if is_person else DEFAULT_TYPES["pedestrian"]
 
 
 def types_of(

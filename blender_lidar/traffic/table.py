@@ -7,7 +7,8 @@ One row per vehicle and frame under a header; columns in any order, further ones
 ``x_m``, ``y_m``           box centre [m]
 ``frame``                  whole number; from ``time_s`` if left out
 ``time_s``                 time of the frame [s]; from ``frame`` if left out
-``class``                  car, van, truck, bus or motorcycle, or a word for one; by length if left out
+``class``                  car, van, truck, bus, motorcycle, bicycle or pedestrian, or a word for one; by length
+                           if left out
 ``length_m``, ``width_m``  box size [m], more than 0; by class if left out
 ``height_m``               box height [m], more than 0; by class if left out
 ``heading_deg``            counter-clockwise from the table's x axis; that of motion if left out
@@ -15,7 +16,8 @@ One row per vehicle and frame under a header; columns in any order, further ones
 ``lane`` (optional)        whole number
 =========================  ====================================================================
 
-Frame or time, and class or size, must be there. Persons are left out and counted.
+Frame or time, and class or size, must be there. A bicycle or pedestrian without length or width has its class's; what is on no road, such
+as a container, is left out and counted.
 
 ``vehicles.csv`` of a run is such a table. It may be packed with gzip, and begin with lines that start with ``#``.
 Spreadsheets may have written it: with semicolons, tabs and decimal commas, as UTF-8, UTF-16 or Windows-1252.
@@ -36,8 +38,8 @@ from .header import TableLayout, header_names, known_names, laid_out
 from .source import Column, Rows, first_lines, quoted, read_rows, vehicle_ids, vehicle_numbers
 from .sumo import frames_of, kind_of_fcd, parquet_batches
 from .sumo_types import DEFAULT_TYPES, class_in_name
-from .tracks import drop_repeats, fitted_velocity, heights, held_heading
-from .vehicles import CLASSES, Placing, Recording, RepairReport, ground_of
+from .tracks import SLOWEST_M_S, drop_repeats, fitted_velocity, heights, held_heading
+from .vehicles import CLASSES, PEDESTRIAN, Placing, Recording, RepairReport, ground_of
 
 _LENGTHS = ("length_m", "width_m", "height_m")
 OPTIONAL = ("z_m", "time_s", "lane")
@@ -49,9 +51,15 @@ BOX_COLUMNS = {
     "time_s": Column("a number of seconds", -1e12, 1e12),
     "lane": Column("a whole number", 1 - 2**15, 2**15 - 1, whole=True),
 }
-_READ = {**BOX_COLUMNS, "heading_deg": _FAR._replace(optional=True)}  # an empty one is that of motion
+_SIDES = ("length_m", "width_m")
+_SIDE = BOX_COLUMNS["length_m"]
+# A heading that is not known is that of motion; a size, which bicycles and pedestrians may lack, is the class's.
+READ_COLUMNS = BOX_COLUMNS | dict.fromkeys(_SIDES, _SIDE._replace(low=0.0, optional=True))
+READ_COLUMNS |= {"heading_deg": _FAR._replace(optional=True)}
 _SIZES_M = {"car": (4.5, 1.8), "van": (5.2, 2.0), "truck": (8.0, 2.5), "bus": (12.0, 2.55), "motorcycle": (2.2, 0.8)}
+_SIZES_M |= {"bicycle": (1.76, 0.6), "pedestrian": (0.8, 0.6)}  # KITTI's means
 _TRUCK_FROM_M = 7.0
+_SLOWEST_WALK_M_S = 0.5
 BOX_NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", *_LENGTHS, "heading_deg")
 _WORDS = {
     "frame": {"frame"},
@@ -114,10 +122,9 @@ def read_table(
     if "class" not in columns:
         columns["class"] = np.where(columns["length_m"] >= _TRUCK_FROM_M, CLASSES.index("truck"), 0).astype(np.int8)
         assumed.append(f"Class: truck from {_TRUCK_FROM_M:g} m of length on, else car, as the table has none")
-    if "length_m" not in columns or "width_m" not in columns:
-        sizes = np.array([_SIZES_M[name] for name in CLASSES])[columns["class"]]
-        columns |= {"length_m": sizes[:, 0], "width_m": sizes[:, 1]}
-        assumed.append("Sizes: by class, as the table has none")
+    sized = _size_by_class(columns)
+    if sized is not None:
+        assumed.append("Sizes: by class, " + ("as the table has none" if sized.all() else "where the table has none"))
     if "height_m" not in columns:
         columns["height_m"] = heights(columns["class"], columns["length_m"], height_m)
         assumed.append("Heights: by class, as the table has none")
@@ -151,12 +158,26 @@ def read_table(
             duplicates=duplicates,
             repeated=repeated,
             left_out=left_out,
+            sizes_repaired=0 if sized is None or sized.all() else len(np.unique(columns["vehicle_id"][sized[kept]])),
             headings_held=0 if held is None else int(held.sum()),
             notes=tuple(notes),
             assumed=(*of_time, *assumed),
             ground=ground_of(plane, columns.get("z_m", columns["height_m"] / 2) - columns["height_m"] / 2),
         ),
     )
+
+
+def _size_by_class(columns: dict[str, np.ndarray]) -> np.ndarray | None:
+    """Give boxes without length or width their class's, and say which, (n,) bool; None where all have their own."""
+    missing = np.ones(len(columns["x_m"]), dtype=bool)
+    if all(name in columns for name in _SIDES):
+        missing = ~(np.column_stack([columns[name] for name in _SIDES]) > 0.0).all(axis=1)
+    if not missing.any():
+        return None
+    sizes = np.array([_SIZES_M[name] for name in CLASSES])[columns["class"]]
+    for side, name in enumerate(_SIDES):
+        columns[name] = np.where(missing, sizes[:, side], columns.get(name, np.nan))
+    return missing
 
 
 def _headings(
@@ -168,7 +189,8 @@ def _headings(
     if not missing.any():
         return heading, None
     velocity = fitted_velocity(columns["vehicle_id"], time_s, plane)
-    motion, held = held_heading(columns["vehicle_id"], velocity)
+    slowest = np.where(columns["class"] == PEDESTRIAN, _SLOWEST_WALK_M_S, SLOWEST_M_S)
+    motion, held = held_heading(columns["vehicle_id"], velocity, slowest_m_s=slowest)
     return np.where(missing, motion, heading), held & missing
 
 
@@ -217,7 +239,7 @@ def _chunks(table: str | Path | Mapping) -> Iterable[Rows]:
         layout = laid_out(table, (), (*BOX_NEEDED, *OPTIONAL))
         where = f"{table}:{layout.first_line - 1}"
         layout.check(_needed(layout.columns), (*BOX_NEEDED, *OPTIONAL), where, _nearest_names)
-        return read_rows(table, layout, _READ, ["class", "vehicle_id"])
+        return read_rows(table, layout, READ_COLUMNS, ["class", "vehicle_id"])
     names = list(map(str, table))
     TableLayout(names, None, 0).check(_needed(names), (*BOX_NEEDED, *OPTIONAL), "boxes", _nearest_names)
     columns = {name: np.asarray(table[name]) for name in (*BOX_NEEDED, *OPTIONAL) if name in table}
@@ -236,13 +258,14 @@ def _columns(table: str | Path | Mapping) -> tuple[dict[str, np.ndarray], int, l
     parts, ids, left_out, path = [], {}, 0, table if isinstance(table, str | Path) else "boxes"
     for rows in _chunks(table):
         kind = _class_indices(rows)
-        if kind is not None and (kind == _PERSON).any():
-            left_out += int((kind == _PERSON).sum())
-            rows, kind = rows.select(kind != _PERSON), kind[kind != _PERSON]
-        part = {name: rows.numbers(name, _READ[name]) for name in rows.columns if name in _READ}
+        if kind is not None and (kind == _ON_NO_ROAD).any():
+            left_out += int((kind == _ON_NO_ROAD).sum())
+            rows, kind = rows.select(kind != _ON_NO_ROAD), kind[kind != _ON_NO_ROAD]
+        part = {name: rows.numbers(name, READ_COLUMNS[name]) for name in rows.columns if name in READ_COLUMNS}
         if kind is not None and (kind < 0).any():
             row = int(kind.argmin())
             raise unknown_name(rows.columns["class"][row], CLASSES, "class", rows.where(row))
+        _check_sides(rows, part, kind)
         part |= {"vehicle_id": vehicle_ids(rows, "vehicle_id", ids)} | ({} if kind is None else {"class": kind})
         parts.append(part)
     if not any(len(part["x_m"]) for part in parts):
@@ -256,12 +279,22 @@ def _columns(table: str | Path | Mapping) -> tuple[dict[str, np.ndarray], int, l
     return columns | {"vehicle_id": vehicle[columns["vehicle_id"]]}, left_out, notes
 
 
-_PERSON = -2
+def _check_sides(rows: Rows, part: dict[str, np.ndarray], kind: np.ndarray | None) -> None:
+    """Refuse a motor vehicle of no length or width."""
+    motor = np.ones(len(rows), dtype=bool) if kind is None else kind < CLASSES.index("bicycle")
+    for name in _SIDES:
+        none = np.flatnonzero(motor & ~(part.get(name, np.ones(len(rows))) > 0.0))
+        if len(none):
+            seen = "0" if part[name][none[0]] == 0.0 else "nothing"
+            raise InputError(f"{rows.where(none[0])}: {name} is {seen}; allowed: {_SIDE.allowed}")
+
+
+_ON_NO_ROAD = -2
 _ALSO = {"truck_bus": "truck", "large-vehicle": "truck", "small-vehicle": "passenger"}  # in inD, in TGSIM
 
 
 def _class_indices(rows: Rows) -> np.ndarray | None:
-    """Indices into `CLASSES`, `_PERSON` for who is no vehicle on a road, -1 if unknown; None without a column."""
+    """Indices into `CLASSES`, `_ON_NO_ROAD` for containers and such, -1 if unknown; None without a column."""
     if "class" not in rows.columns:
         return None
     texts = list(map(str, rows.columns["class"].tolist()))
@@ -274,10 +307,10 @@ def _class_index(text: str) -> int:
     name = text.strip().lower()
     if name in CLASSES:
         return CLASSES.index(name)
-    if "pedestrian" in name:
-        return _PERSON
+    if "pedestrian" in name:  # also in "pedestrian/bicycle", INTERACTION's class of both
+        return PEDESTRIAN
     kind = DEFAULT_TYPES.get(_ALSO.get(name) or class_in_name(text) or "")
-    return -1 if kind is None else _PERSON if kind.class_name is None else CLASSES.index(kind.class_name)
+    return -1 if kind is None else _ON_NO_ROAD if kind.class_name is None else CLASSES.index(kind.class_name)
 
 
 def _times(

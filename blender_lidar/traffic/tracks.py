@@ -96,7 +96,10 @@ def _windows(
 
 
 def held_heading(
-    vehicle_id: np.ndarray, velocity: np.ndarray, at_rest_rad: np.ndarray | float = 0.0
+    vehicle_id: np.ndarray,
+    velocity: np.ndarray,
+    at_rest_rad: np.ndarray | float = 0.0,
+    slowest_m_s: np.ndarray | float = SLOWEST_M_S,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Heading of motion where it is fast enough; else the vehicle's last one, else its next one, else `at_rest_rad`.
 
@@ -108,6 +111,8 @@ def held_heading(
         [m/s]; NaN where unknown.
     at_rest_rad : float or ndarray, (n,)
         Headings of vehicles that are never fast enough [rad]; the road's if left out.
+    slowest_m_s : float or ndarray, (n,)
+        From which speed on motion tells a heading [m/s].
 
     Returns
     -------
@@ -117,7 +122,7 @@ def held_heading(
     """
     n = len(vehicle_id)
     rows = np.arange(n)
-    moving = np.hypot(velocity[:, 0], velocity[:, 1]) >= SLOWEST_M_S
+    moving = np.hypot(velocity[:, 0], velocity[:, 1]) >= slowest_m_s
     last = np.maximum.accumulate(np.where(moving, rows, -1))
     following = np.minimum.accumulate(np.where(moving, rows, n)[::-1])[::-1]
     heading = np.array(np.broadcast_to(at_rest_rad, n), dtype=np.float64)

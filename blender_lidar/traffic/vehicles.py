@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import InputError, printable
+from ..names import CLASSES
 from ..road.road_map import wrap_angle
 
 # --- What reading a recording found and repaired ----------------------------------------------------------
@@ -37,7 +38,7 @@ class RepairReport:
     off_map : int
         Rows dropped because they lie kilometres from the section, or have no place at all.
     left_out : int
-        Rows of what is no vehicle on a road: persons, containers, trains.
+        Rows of what is no vehicle on a road: containers, trains, persons in vehicles, and pedestrians left out.
     types_unknown : int
         Vehicles whose type names no vehicle class, and that were taken for cars.
     sizes_repaired : int
@@ -127,12 +128,14 @@ def counted(count: int, noun: str) -> str:
 
 # --- The traffic as the rest of the package sees it: boxes in the road frame, by frame --------------------
 
-CLASSES = ("car", "van", "truck", "bus", "motorcycle")
-"""Vehicle classes; `class_index` counts into them. A van is any car longer than 4.9 m: van, SUV or pick-up."""
+# `class_index` counts into `CLASSES`. A van is any car longer than 4.9 m: van, SUV or pick-up; a bicycle has its rider.
+PEDESTRIAN = CLASSES.index("pedestrian")
 VAN_LONGER_THAN_M = 4.9
 LONG_TRUCK_M = 9.0  # from this length on a truck is an articulated one
 HEIGHTS_M = {"car": 1.5, "van": 1.9, "truck": 3.0, "long_truck": 3.8, "bus": 3.2, "motorcycle": 1.4}
-"""Heights by kind [m], for recordings that have none."""
+HEIGHTS_M |= {"bicycle": 1.73, "pedestrian": 1.73}
+"""Heights by kind [m], for recordings that have none; the last two are the means of KITTI's labels, by which its
+detectors are set up."""
 FLEET_KINDS = (*CLASSES, "long_truck")
 """The kinds of vehicles by whose heights and shapes a fleet is made."""
 
@@ -261,6 +264,18 @@ class Recording:
             source=self.source,
             report=self.report,
         )
+
+    @cached_property
+    def vehicles_alone(self) -> Recording:
+        """The same recording without pedestrians, who keep to no lane; itself where it has none, or no vehicles."""
+        driven = self.class_index != PEDESTRIAN
+        if driven.all() or not driven.any():
+            return self
+        walking, report = len(np.unique(self.vehicle_id[~driven])), self.report
+        said = f"Pedestrians: {walking:,} left out; [objective] classes that name pedestrian score them"
+        rows = {"rows_used": int(driven.sum()), "left_out": report.left_out + int((~driven).sum())}
+        alone = self.where(driven)
+        return replace(alone, report=replace(report, **rows, assumed=(*report.assumed, said)))
 
     def with_columns(self, **columns: np.ndarray) -> Recording:
         """The same recording with other values in some of the columns of `Vehicles`."""
@@ -445,7 +460,8 @@ def frames_looked_at(recording: Recording) -> np.ndarray:
 
 
 def with_overlaps_reported(recording: Recording) -> Recording:
-    """The same recording, its report telling the overlaps of up to 60 frames spread evenly over it."""
-    looked_at = frames_looked_at(recording)
-    pairs = sum(len(overlapping_pairs(recording.vehicles(frame))) for frame in looked_at)
+    """The same recording, its report telling the overlaps of vehicles in up to 60 frames spread evenly over it."""
+    vehicles = recording.vehicles_alone
+    looked_at = frames_looked_at(vehicles)
+    pairs = sum(len(overlapping_pairs(vehicles.vehicles(frame))) for frame in looked_at)
     return replace(recording, report=replace(recording.report, overlaps=pairs, overlap_frames=len(looked_at)))

@@ -142,7 +142,45 @@ def _motorcycle():
     )
 
 
-# --- Vehicles of every class, from these parts ------------------------------------------------------------------------
+# --- A bicycle and its rider, 1.75 x 0.6 x 1.73 m, and a pedestrian, 0.55 x 0.6 x 1.75 m -----------------------------
+
+
+def _bicycle():
+    yield drum((0.34, 0.0, 0.34), 0.34, 0.05, 12)
+    yield drum((1.41, 0.0, 0.34), 0.34, 0.05, 12)
+    yield limb([(0.34, 0, 0.34, 0.03, 0.03), (0.80, 0, 0.30, 0.04, 0.05)], 4)  # chain stays
+    yield limb([(0.60, 0, 0.86, 0.06, 0.05), (0.78, 0, 0.32, 0.03, 0.03)], 4)  # saddle and seat tube
+    yield limb([(0.80, 0, 0.30, 0.03, 0.03), (1.22, 0, 0.84, 0.03, 0.03)], 4)  # down tube
+    yield limb([(1.20, 0, 0.98, 0.03, 0.03), (1.41, 0, 0.34, 0.04, 0.03)], 4)  # fork
+    yield block((1.18, -0.30, 0.97), (1.22, 0.30, 1.01))  # handlebar
+    yield from _person(hip=(0.62, 0.92), shoulder=(0.88, 1.36), head=(0.95, 1.46))
+    yield from both_sides(
+        limb([(0.87, 0.19, 1.33, 0.05, 0.05), (1.03, 0.25, 1.13, 0.04, 0.04), (1.19, 0.26, 1.01, 0.04, 0.04)]),  # arm
+        limb([(0.64, 0.10, 0.90, 0.08, 0.08), (0.96, 0.12, 0.72, 0.06, 0.06)]),  # thigh
+        limb([(0.95, 0.12, 0.74, 0.06, 0.06), (0.82, 0.12, 0.24, 0.05, 0.05)]),  # shank
+    )
+
+
+def _pedestrian():
+    yield from _person(hip=(0.26, 0.92), shoulder=(0.28, 1.42), head=(0.30, 1.48))
+    yield from both_sides(
+        limb([(0.26, 0.10, 0.94, 0.09, 0.10), (0.29, 0.10, 0.50, 0.06, 0.07), (0.24, 0.10, 0.06, 0.05, 0.06)]),  # leg
+        block((0.17, 0.05, 0.0), (0.45, 0.16, 0.08)),  # foot
+        limb([(0.28, 0.22, 1.40, 0.06, 0.06), (0.22, 0.25, 1.12, 0.05, 0.05), (0.40, 0.24, 0.98, 0.04, 0.04)]),  # arm
+    )
+
+
+def _person(hip, shoulder, head):
+    """Trunk and head, by places x, z of hip, shoulder and chin [m]."""
+    (x, z), (over_x, over_z), (head_x, chin) = hip, shoulder, head
+    middle = (0.5 * (x + over_x), 0, 0.5 * (z + over_z))
+    yield limb([(x, 0, z - 0.06, 0.15, 0.11), (*middle, 0.17, 0.12), (over_x, 0, over_z, 0.22, 0.11)], 8)
+    yield limb([(over_x, 0, over_z - 0.02, 0.07, 0.07), (head_x, 0, chin, 0.07, 0.08)], 8)  # neck
+    rings = ((0.0, 0.06, 0.08), (0.07, 0.08, 0.10), (0.18, 0.08, 0.10), (0.27, 0.04, 0.05))
+    yield limb([(head_x, 0, chin + up, half_width, half_depth) for up, half_width, half_depth in rings], 8)
+
+
+# --- Road users of every class, from these parts ------------------------------------------------------------------------
 
 
 def detailed_shape(name: str) -> Shape:
@@ -297,4 +335,6 @@ _MAKERS = {
     "long_truck": _long_truck,
     "bus": _bus,
     "motorcycle": _motorcycle,
+    "bicycle": _bicycle,
+    "pedestrian": _pedestrian,
 }

@@ -18,7 +18,7 @@ from ..traffic.fleet import KIND_OF_BODY
 from .detailed_shapes import detailed_shape
 from .meshes import Shape, block, tube
 
-SHAPES = ("car", "van", "truck", "long_truck", "bus", "motorcycle")
+SHAPES = ("car", "van", "truck", "long_truck", "bus", "motorcycle", "bicycle", "pedestrian")
 
 
 @cache
@@ -97,6 +97,24 @@ _BODIES = {
         (0.55, 0.18, 0.50, 0.20, 0.60, 0.98, False, False),
         (0.70, 0.14, 0.45, 0.16, 0.58, 0.68, False, False),
         (1.00, 0.06, 0.10, 0.06, 0.22, 0.40, False, False),
+    ),
+    "bicycle": (
+        (0.00, 0.04, 0.08, 0.04, 0.20, 0.40, False, False),
+        (0.30, 0.10, 0.22, 0.14, 0.42, 0.60, False, False),
+        (0.40, 0.18, 0.38, 0.20, 0.60, 0.84, False, False),
+        (0.54, 0.18, 0.42, 0.16, 0.72, 1.00, False, False),
+        (0.62, 0.16, 0.42, 0.16, 0.70, 0.96, False, False),
+        (0.70, 0.08, 0.50, 0.20, 0.58, 0.64, False, False),
+        (0.78, 0.05, 0.12, 0.06, 0.36, 0.54, False, False),
+        (1.00, 0.04, 0.08, 0.04, 0.20, 0.40, False, False),
+    ),
+    "pedestrian": (
+        (0.00, 0.18, 0.28, 0.16, 0.34, 0.60, False, False),
+        (0.30, 0.26, 0.46, 0.20, 0.70, 0.88, False, False),
+        (0.42, 0.28, 0.50, 0.16, 0.78, 1.00, False, False),
+        (0.60, 0.28, 0.50, 0.16, 0.78, 1.00, False, False),
+        (0.70, 0.26, 0.46, 0.20, 0.70, 0.88, False, False),
+        (1.00, 0.18, 0.28, 0.16, 0.34, 0.60, False, False),
     ),
     "hatchback": (
         (0.00, 0.42, 0.46, 0.40, 0.45, 0.62, False, False),
