@@ -88,9 +88,9 @@ def at_an_intersection(folder: Path) -> Path:
 
 def on_a_slope(folder: Path) -> Path:
     """A map with heights: a mast at 62 m."""
-    scene = height_scene(folder, SLOPE, height_m=[3.0, 5.0], tilt_x_deg=[0.0, 20.0])
-    path = folder / "slope.toml"
-    path.write_text(to_toml(scene.with_whole_paths()))
+    scene = height_scene(folder, SLOPE, caster="bvh", height_m=[3.0, 5.0], tilt_x_deg=[0.0, 20.0])
+    path, tables = folder / "slope.toml", scene.with_whole_paths()
+    path.write_text(to_toml({**tables, "search": {**tables["search"], "particles": 4, "iterations": 2}}))
     return path
 
 

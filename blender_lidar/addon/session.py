@@ -20,7 +20,7 @@ from ..clouds.live import DRAG_M, LiveFrame, Look
 from ..errors import InputError
 from ..names import METRIC_NAMES
 from ..scene.mounting import ANGLES, LEANS, PLACE, Mounting, mounting_from
-from ..scene.observation import CountedFrame, scored, vehicle_weights
+from ..scene.observation import CountedFrame, of_scored_class, vehicle_weights
 from ..scene.region import region_of
 from ..scene.scenario import Scenario, scenario_of
 from ..scene.settings import DATASHEET, GATE, SensorSettings, is_sensor_file
@@ -341,7 +341,7 @@ def dragged_off(lidar: bpy.types.Object, mounting: Mounting) -> bool:
 
 def _made_ready(scenario: Scenario, vehicles: Vehicles, mounting: Mounting) -> LiveFrame:
     caster, region = resolve(scenario.model.caster, "caster"), region_of(scenario.region, scenario.road_map)
-    counted = region.holds(vehicles) & scored(vehicles, scenario.objective)
+    counted = region.holds(vehicles) & of_scored_class(vehicles, scenario.objective)
     frame = CountedFrame(vehicles, counted, vehicle_weights(vehicles, scenario.objective))
     scenery = standing_scenery(scenario, caster, [mounting], margin_m=2.0 * DRAG_M)
     observation = observation_of(scenario, lattice_of(scenario.sensor), caster, scenery)

@@ -296,8 +296,8 @@ def _read_las(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | No
 
 # --- KITTI's velodyne files, and SemanticKITTI's labels beside them ---------------------------------------
 
-# SemanticKITTI's numbers of our classes, in the order of `traffic.vehicles.CLASSES`: a van is a car there, and a bicycle
-# with its rider a bicyclist.
+# SemanticKITTI's numbers of our classes, in the order of `traffic.vehicles.CLASSES`: a van is a car there, and a
+# bicycle with its rider a bicyclist.
 SEMANTIC_CLASSES = np.array([10, 10, 18, 13, 15, 31, 30])
 ROAD = 40
 _MOVING = (252, 253, 254, 255, 256, 257, 258, 259)  # what SemanticKITTI calls road users that move

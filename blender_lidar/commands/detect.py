@@ -36,6 +36,7 @@ from ..detection.stored import (
 )
 from ..errors import InputError, MissingExtraError, MissingFileError
 from ..files import check_folder, check_unused, make_folder, write_text
+from ..names import CLASSES
 from ..report.cloud_figures import draw_detections
 from ..report.detection import detection_table, detection_text
 from ..report.summary import as_sentence, region_text, warnings_text
@@ -67,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--axes, --pose: are options for folders of recorded clouds, but {args.scene} is a scene")
     check_detector(args.detector)
     scenario = scenario_from(args)
-    check_level(scenario)
+    check_judged(scenario)
     mounting = mounting_from(args, scenario)
     folder = _folder(args, lambda: default_folder(scenario, "detection"))
     result = judge_at(prepare(scenario, [mounting]), mounting, args.detector, folder)
@@ -100,8 +101,13 @@ def check_detector(detector: str) -> None:
         raise MissingFileError(f"--detector: {detector}: there is no such file; allowed: {', '.join(DETECTORS)}, FILE")
 
 
-def check_level(scenario: Scenario) -> None:
-    """Refuse a map with heights: detectors look for one plane of ground near z = 0."""
+def check_judged(scenario: Scenario) -> None:
+    """Refuse what detectors do not find: vehicles off one plane of ground near z = 0, and pedestrians."""
+    if CLASSES[-1] in (scenario.objective.classes or ()):
+        raise InputError(
+            f"{scenario.where('objective', 'classes')}: pedestrian: the detectors find vehicles alone; allowed with a "
+            f"detector: {', '.join(CLASSES[:-1])}"
+        )
     if scenario.straight is None and not scenario.road_map.surface.is_flat:
         raise InputError(f"{scenario.source}: [road] opendrive has heights; a detector needs a level map")
 

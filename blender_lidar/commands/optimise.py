@@ -66,10 +66,10 @@ def report(args: argparse.Namespace, site: Site, run: RunFolder) -> int:
 
 def _check_detector(args: argparse.Namespace, scenario: Scenario) -> None:
     if args.detector is not None:
-        from .detect import check_detector, check_level
+        from .detect import check_detector, check_judged
 
         check_detector(args.detector)
-        check_level(scenario)
+        check_judged(scenario)
 
 
 # --- The verbs --------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from ..clouds.scan import FrameScan, PointCloud, Turn
 from ..road.road_map import RoadMap
 from ..scene import usual
 from ..scene.mounting import Mounting
-from ..scene.observation import Observation, scored
+from ..scene.observation import Observation, of_scored_class
 from ..scene.provenance import versions
 from ..scene.region import Region
 from ..scene.scenario import Scenario
@@ -30,7 +30,7 @@ from ..scoring.frame_scorer import FrameShapes
 from ..scoring.workers import Workers
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
-from ..traffic.vehicles import Vehicles, rectangles_overlap
+from ..traffic.vehicles import PEDESTRIAN, Vehicles, rectangles_overlap
 from ..world.triangles import place
 from .judge import believed, hung_off_by
 
@@ -304,7 +304,8 @@ def _traffic(plan: DatasetPlan, scan: PlannedScan) -> tuple[Vehicles, np.ndarray
     vehicles = _moved(plan.frames[scan.frame], scan.station_m, scan.mirrored, axis)
     vehicles = vehicles.select(plan.region.distance(vehicles) <= plan.reach_m)
     away = np.hypot(*(vehicles.centre_m[:, :2] - scan.mount.xy).T)
-    inside = plan.region.holds(vehicles) & scored(vehicles, plan.scenario.objective)
+    inside = plan.region.holds(vehicles) & of_scored_class(vehicles, plan.scenario.objective)
+    inside &= vehicles.class_index != PEDESTRIAN  # whom detectors of vehicles are not judged by
     labelled = plan.region.holds(vehicles) | (away <= plan.observation.lidar.max_range_m)
     if scan.split == VAL:
         labelled &= ~np.isin(vehicles.vehicle_id, plan.taught_ids)

@@ -258,6 +258,8 @@ def definitions(result: Mapping) -> dict[str, str]:
         "detectable": f"occupancy ({identity['[objective] view']} of the three views) of at least "
         f"{identity['[objective] threshold']:g}: a threshold on the metric, not a detector.",
     }
+    if classes := identity.get("[objective] classes"):
+        words["objective"] = words["objective"].replace("the vehicles in view", f"those in view ({', '.join(classes)})")
     if result.get("recordings"):
         words["objective"] += " The frames of a recording together count as its weight."
     if weights := weights_text(result):

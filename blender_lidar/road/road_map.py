@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -14,6 +15,7 @@ from ..names import SIDES
 _ON_EDGE_M = 1e-9  # what lies this near to an edge lies on it
 _LARGEST_M = 1e9  # beyond all distances
 _MOST_PAIRS = 400_000  # of places and segments that are looked at together
+_CELL_M = 16.0  # side of the square cells in which more places are looked at together
 _BESIDE_M = 0.01  # far enough from an edge to lie on one side of it, across the gaps between the lanes of a bend
 
 
@@ -116,7 +118,8 @@ class _Segments(NamedTuple):
     station: np.ndarray
     direction: np.ndarray  # in which the lane drives [rad]
     row: np.ndarray  # of its lane
-    first: np.ndarray  # (l,), the first segment of each lane
+    opens: np.ndarray  # whether it is the first of its lane, and the last
+    closes: np.ndarray
 
 
 class _Near(NamedTuple):
@@ -219,7 +222,7 @@ class RoadMap:
     @property
     def axis(self) -> np.ndarray | None:
         """Unit vector (2,) along which all lanes go on without ends; None where the road bends or ends."""
-        along = self._segments()[1]
+        along = _segments(self).along
         return along[0] if self.endless and np.allclose(along, along[0]) else None
 
     def locate(self, xy: np.ndarray, heading_rad: np.ndarray | None = None) -> Located:
@@ -229,10 +232,8 @@ class RoadMap:
         and without one the lane whose middle is nearest.
         """
         xy = np.asarray(xy, dtype=float)[:, :2]
-        pieces = self._segments()
-        parts, size = [], max(1, _MOST_PAIRS // len(pieces.row))
-        for first in range(0, max(len(xy), 1), size):
-            rows = slice(first, first + size)
+        found = [np.zeros(len(xy), dtype=kind) for kind in (int, float, float, float)]
+        for rows, pieces in _together(_segments(self), xy):
             near = self._near(pieces, xy[rows])
             held = near.outside.copy()
             turn = np.zeros_like(near.away)
@@ -244,8 +245,10 @@ class RoadMap:
             best = near.segment[at]
             lane = np.where(held[at], -1, pieces.row[best])
             station, offset = pieces.station[best], self.offset_m[pieces.row[best]]
-            parts.append((lane, near.s[at] + station, near.t[at] + offset, pieces.direction[best]))
-        return Located(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+            values = lane, near.s[at] + station, near.t[at] + offset, pieces.direction[best]
+            for column, some in zip(found, values, strict=True):
+                column[rows] = some
+        return Located(*found)
 
     def on(self, xy: np.ndarray) -> np.ndarray:
         """Which places (n, 2) [m] lie on a lane or in a junction, edges included, (n,) bool."""
@@ -300,7 +303,7 @@ class RoadMap:
 
     def nearest(self, xy: Sequence[float]) -> np.ndarray:
         """The nearest place on the middle of each lane, (l, 2) [m]."""
-        pieces = self._segments()
+        pieces = _segments(self)
         near = self._near(pieces, np.array([xy], dtype=float))
         best = near.segment[0]
         return pieces.start[best] + near.s[0][:, None] * pieces.along[best]
@@ -317,7 +320,7 @@ class RoadMap:
     def direction(self, xy: Sequence[float]) -> float:
         """Which way the stations of the nearest lane rise at a place, counter-clockwise from +x [rad]."""
         lane, near = self._nearest_lane(xy)
-        return float(self._segments().direction[near.segment[0, lane]] + math.pi * self.against[lane])
+        return float(_segments(self).direction[near.segment[0, lane]] + math.pi * self.against[lane])
 
     def edges_across(self, xy: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
         """The edges of the road across from a place on a lane, to the right and to the left of it, (2,) each [m]."""
@@ -367,7 +370,7 @@ class RoadMap:
 
     def _nearest_lane(self, xy: Sequence[float]) -> tuple[int, _Near]:
         """The lane that holds a place, or else has the nearest edge."""
-        near = self._near(self._segments(), np.array([xy], dtype=float))
+        near = self._near(_segments(self), np.array([xy], dtype=float))
         away = np.where(near.outside, near.away - near.half, near.away - _LARGEST_M)[0]
         return int(np.argmin(away)), near
 
@@ -391,26 +394,6 @@ class RoadMap:
             against=self.against[lanes],
         )
 
-    def _segments(self) -> _Segments:
-        """All m segments of the centre lines, lane by lane."""
-        start = np.concatenate([line[:-1] for line in self.points_m])
-        step = np.concatenate([np.diff(line, axis=0) for line in self.points_m])
-        length = np.hypot(*step.T)
-        counts = np.array([len(line) - 1 for line in self.points_m])
-        row, last = np.repeat(np.arange(len(self)), counts), np.cumsum(counts)
-        low, high = np.zeros(len(length)), length.copy()
-        if self.endless:
-            low[last - counts], high[last - 1] = -np.inf, np.inf
-        before = np.cumsum(length) - length
-        station = before - before[last - counts][row] + self.station_m[row]
-        half = 0.5 * np.stack([self.width_m[row]] * 2, axis=1)
-        if self.widths_m:
-            ends = [np.stack([width[:-1], width[1:]], axis=1) for width in self.widths_m]
-            half = 0.5 * np.concatenate(ends)
-        along = step / length[:, None]
-        direction = wrap_angle(np.arctan2(along[:, 1], along[:, 0]) + math.pi * self.against[row])
-        return _Segments(start, along, length, low, high, half, station, direction, row, last - counts)
-
     def _near(self, pieces: _Segments, xy: np.ndarray) -> _Near:
         """Of each lane the segment that is nearest to each place (n, 2): one that holds it before the others."""
         off = xy[:, None] - pieces.start  # (n, m, 2)
@@ -419,15 +402,15 @@ class RoadMap:
         held = s.clip(pieces.low, pieces.high)
         beyond = s - held
         away = np.hypot(t, beyond)
-        first, last = np.diff(pieces.row, prepend=-1) > 0, np.diff(pieces.row, append=len(self)) > 0
         share = (held / pieces.length).clip(0.0, 1.0)
         half = pieces.half[:, 0] + share * (pieces.half[:, 1] - pieces.half[:, 0])
         outside = away > half + _ON_EDGE_M
-        outside |= (first & (beyond < -_ON_EDGE_M)) | (last & (beyond > _ON_EDGE_M))
+        outside |= (pieces.opens & (beyond < -_ON_EDGE_M)) | (pieces.closes & (beyond > _ON_EDGE_M))
         rank = np.where(outside, away + _LARGEST_M, away)
-        least = np.minimum.reduceat(rank, pieces.first, axis=1)
-        at_least = np.where(rank == least[:, pieces.row], np.arange(len(pieces.row)), len(pieces.row))
-        segment = np.minimum.reduceat(at_least, pieces.first, axis=1)  # (n, l)
+        first = np.flatnonzero(np.diff(pieces.row, prepend=-1))  # the first segment of each lane
+        least = np.repeat(np.minimum.reduceat(rank, first, axis=1), np.diff(first, append=len(pieces.row)), axis=1)
+        at_least = np.where(rank == least, np.arange(len(pieces.row)), len(pieces.row))
+        segment = np.minimum.reduceat(at_least, first, axis=1)  # (n, l)
         picked = (np.take_along_axis(each, segment, axis=1) for each in (held, t, away, half, outside))
         return _Near(segment, *picked)
 
@@ -440,6 +423,47 @@ class RoadMap:
         if self.widths_m:
             half = 0.5 * np.interp(stations, self.stations(lane=lane), self.widths_m[lane])
         return self.at(stations, self.offset_m[lane], lane), half
+
+
+@lru_cache(maxsize=32)
+def _segments(road: RoadMap) -> _Segments:
+    """All m segments of a road's centre lines, lane by lane; made once."""
+    start = np.concatenate([line[:-1] for line in road.points_m])
+    step = np.concatenate([np.diff(line, axis=0) for line in road.points_m])
+    length = np.hypot(*step.T)
+    counts = np.array([len(line) - 1 for line in road.points_m])
+    row, last = np.repeat(np.arange(len(road)), counts), np.cumsum(counts)
+    low, high = np.zeros(len(length)), length.copy()
+    if road.endless:
+        low[last - counts], high[last - 1] = -np.inf, np.inf
+    before = np.cumsum(length) - length
+    station = before - before[last - counts][row] + road.station_m[row]
+    half = 0.5 * np.stack([road.width_m[row]] * 2, axis=1)
+    if road.widths_m:
+        ends = [np.stack([width[:-1], width[1:]], axis=1) for width in road.widths_m]
+        half = 0.5 * np.concatenate(ends)
+    along = step / length[:, None]
+    direction = wrap_angle(np.arctan2(along[:, 1], along[:, 0]) + math.pi * road.against[row])
+    ends = np.diff(row, prepend=-1) > 0, np.diff(row, append=len(road)) > 0
+    return _Segments(start, along, length, low, high, half, station, direction, row, *ends)
+
+
+def _together(pieces: _Segments, xy: np.ndarray) -> Iterator[tuple[np.ndarray | slice, _Segments]]:
+    """Rows of places (n, 2) that are looked at together, with the segments that may hold them or be the nearest."""
+    if len(xy) * len(pieces.row) <= _MOST_PAIRS:
+        yield slice(None), pieces
+        return
+    cells, of = np.unique(np.floor(xy / _CELL_M), axis=0, return_inverse=True)
+    order, reach = np.argsort(of.reshape(-1), kind="stable"), math.sqrt(0.5) * _CELL_M + _ON_EDGE_M
+    for cell, rows in zip(cells, np.split(order, np.cumsum(np.bincount(of.reshape(-1)))[:-1]), strict=True):
+        off = (cell + 0.5) * _CELL_M - pieces.start
+        s = (off * pieces.along).sum(axis=1)
+        t = pieces.along[:, 0] * off[:, 1] - pieces.along[:, 1] * off[:, 0]
+        away = np.hypot(t, s - s.clip(pieces.low, pieces.high))
+        near = away <= np.maximum(away.min() + 2.0 * reach, pieces.half.max(axis=1) + reach)
+        some = _Segments(*(column[near] for column in pieces))
+        for part in np.array_split(rows, math.ceil(len(rows) * len(some.row) / _MOST_PAIRS)):
+            yield part, some
 
 
 def _offset_curve(line: np.ndarray, offset_m: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from ..metrics.metric import Field, FrameBoxes
 from ..road.road_map import polygon_holds
 from ..sensors.beams import BeamLattice
 from ..sensors.lidar import Lidar
-from ..traffic.vehicles import PEDESTRIAN, Vehicles
+from ..traffic.vehicles import CLASSES, PEDESTRIAN, Vehicles
 from .settings import ObjectiveSettings
 
 
@@ -133,11 +133,10 @@ def vehicle_weights(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndar
     return of_class * of_zones[first_zone(objective, vehicles.centre_m[:, :2])]
 
 
-def scored(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray:
+def of_scored_class(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray:
     """Which vehicles are of a class that [objective] scores, (n,) bool."""
-    if objective.classes is None:
-        return vehicles.class_index != PEDESTRIAN
-    return np.isin(vehicles.class_name, objective.classes)
+    classes = CLASSES[:PEDESTRIAN] if objective.classes is None else objective.classes
+    return np.isin(vehicles.class_index, [CLASSES.index(name) for name in classes])
 
 
 def first_zone(objective: ObjectiveSettings, xy: np.ndarray) -> np.ndarray:

@@ -28,7 +28,15 @@ from ..world.scenery import Scenery, along_road, barrier, box, boxes_reach, join
 from . import usual
 from .mount_checks import check_mount_is_clear, extent, mount_notes
 from .mounting import Mounting
-from .observation import WAY_COLUMNS, CountedFrame, Observation, Scoring, check_weights, scored, vehicle_weights
+from .observation import (
+    WAY_COLUMNS,
+    CountedFrame,
+    Observation,
+    Scoring,
+    check_weights,
+    of_scored_class,
+    vehicle_weights,
+)
 from .place_checks import nobody_there
 from .plausibility import checked_recording
 from .provenance import run_identity, unchanged_inputs
@@ -228,7 +236,7 @@ def prepare(
     plans = [
         plan_frames(
             recording,
-            lambda vehicles: region.holds(vehicles) & scored(vehicles, objective),
+            lambda vehicles: region.holds(vehicles) & of_scored_class(vehicles, objective),
             count=settings.frames,
             ids=settings.frame_ids,
             spacing_s=settings.spacing_s,
@@ -258,7 +266,8 @@ def prepare(
     notes = [*plan.notes, _out_of_range(scenario, given, searched), *_same_notes(recordings, names)]
     notes += [*mount_notes(scenario, given), few_vehicles(len(plan.searched_ids), judging if held_out else None)]
     plan = replace(plan, notes=tuple(filter(None, notes)))
-    searched, held_out = (_with_ways(part, recording, scenario, region) for part in (searched, held_out))
+    both = _with_ways((*searched, *held_out), recording, scenario, region)
+    searched, held_out = both[: len(searched)], both[len(searched) :]
     searched = _weighted(searched, plan.search_recording, scenario)
     held_out = _weighted(held_out, plan.holdout_recording, scenario)
     check_weights(objective, searched, held_out, scenario.where("objective", ""))
@@ -424,7 +433,7 @@ def frame_of(recording: Recording, frame: int, option: str) -> Vehicles:
 
 def _counted(vehicles, region, reach, objective: ObjectiveSettings, not_counted=()) -> CountedFrame:
     near = vehicles.select(region.distance(vehicles) <= reach)
-    counted = region.holds(near) & scored(near, objective) & ~np.isin(near.vehicle_id, not_counted)
+    counted = region.holds(near) & of_scored_class(near, objective) & ~np.isin(near.vehicle_id, not_counted)
     return CountedFrame(near, counted, vehicle_weights(near, objective))
 
 

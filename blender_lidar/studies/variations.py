@@ -17,7 +17,7 @@ from ..casting.protocol import StandingScenery
 from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
-from ..run.what_if import pedestrians_hide, mixes, without_pedestrians
+from ..run.what_if import mixes, pedestrians_hide, without_pedestrians
 from ..scene.site import Site, lattice_of
 from ..scoring.fidelity import Fidelity, coarse_observation
 from ..sensors.beams import beam_lattice

@@ -62,16 +62,20 @@ def _standing(recording, frames, holds) -> tuple[np.ndarray, np.ndarray]:
     """Times that are a second apart at least (t,) [s], and the vehicles that stand there, by quarter, (t, 4)."""
     time_s = recording.frame_time_s[np.searchsorted(recording.frames, frames)]
     _, first = np.unique((time_s - time_s[0] + 1e-6) // _FINEST_S, return_index=True)
-    standing, before = np.zeros((len(first), 4)), None
-    for row, frame in enumerate(frames[first]):
-        now = recording.vehicles(frame)
+    still, before = np.zeros(len(recording), dtype=bool), None
+    for frame in frames[first]:
+        now, begins = recording.vehicles(frame), np.searchsorted(recording.frame, frame)
         if before is not None and len(before):
             at = np.minimum(np.searchsorted(before.vehicle_id, now.vehicle_id), len(before) - 1)
             moved_m = np.hypot(*(now.centre_m - before.centre_m[at])[:, :2].T)
-            still = (before.vehicle_id[at] == now.vehicle_id) & (moved_m <= _STILL_M_S * (now.time_s - before.time_s))
-            quarter = np.round(now.heading_rad / (0.5 * np.pi)).astype(int) % 4
-            standing[row] = np.bincount(quarter[still & holds(now)], minlength=4)
+            stands = (before.vehicle_id[at] == now.vehicle_id) & (moved_m <= _STILL_M_S * (now.time_s - before.time_s))
+            still[begins : begins + len(now)] = stands
         before = now
+    standing, part = np.zeros((len(first), 4)), recording.where(still) if still.any() else None
+    if part is not None:
+        part = part.where(holds(part))
+        quarter = np.round(part.heading_rad / (0.5 * np.pi)).astype(int) % 4
+        np.add.at(standing, (np.searchsorted(frames[first], part.frame), quarter), 1)
     return time_s[first], standing
 
 

@@ -54,8 +54,8 @@ def instants(recording: Recording) -> np.ndarray:
 
 # --- The choice of frames ---------------------------------------------------------------------------------------------
 
-Holds = Callable[[Vehicles], np.ndarray]
-"""Marks the vehicles of a frame that score, (n,) bool: those inside the region."""
+Holds = Callable[[Vehicles | Recording], np.ndarray]
+"""Marks the boxes that score, (n,) bool: those inside the region."""
 
 NOTHING_HELD_OUT = "nothing is held out"  # how a note begins that says why
 DEFAULT_COUNT = 30
@@ -176,7 +176,7 @@ def plan_frames(
         search_recording=np.zeros(len(search.frames), dtype=np.int64),
         holdout_recording=np.zeros(len(judged.frames), dtype=np.int64) if judged else none,
         block_s=float(block_s),
-        searched_ids=np.unique(np.concatenate(_counted_ids(recording, search.frames, holds))),
+        searched_ids=np.unique(_counted_rows(recording, search.frames, holds).vehicle_id),
         notes=tuple(notes),
     )
 
@@ -212,18 +212,18 @@ def _known_frames(recording: Recording, ids: Iterable[int]) -> np.ndarray:
     return frames
 
 
-def _counted_ids(recording: Recording, frames: np.ndarray, holds: Holds) -> list[np.ndarray]:
-    """Ids of the vehicles that count, frame by frame."""
-    return [vehicles.vehicle_id[holds(vehicles)] for vehicles in map(recording.vehicles, frames)]
+def _counted_rows(recording: Recording, frames: np.ndarray, holds: Holds) -> Recording:
+    """The boxes that count in some frames, frame by frame."""
+    part = recording.where(np.isin(recording.frame, frames))
+    return part.where(holds(part))
 
 
 def _transit_block_s(recording: Recording, candidates: _Frames, holds: Holds) -> float:
     """A block longer than most transits: from a vehicle's first counted instant to the end of its last [s]."""
-    ids = _counted_ids(recording, candidates.frames, holds)
-    time_s = np.repeat(candidates.time_s, [len(some) for some in ids])
-    seen = np.concatenate(ids)
-    if not len(seen):
+    part = _counted_rows(recording, candidates.frames, holds)
+    if not len(part):
         return _SHORTEST_BLOCK_S
+    seen, time_s = part.vehicle_id, candidates.time_s[np.searchsorted(candidates.frames, part.frame)]
     entered = time_s[np.unique(seen, return_index=True)[1]]
     left = time_s[::-1][np.unique(seen[::-1], return_index=True)[1]]
     stay_s = left - entered + candidates.spacing_s

@@ -41,7 +41,7 @@ class Ways(NamedTuple):
 
 
 def ways_by_map(recording: Recording, road: RoadMap, junctions: Sequence[str]) -> Ways:
-    """The ways of a recording's vehicles across some junctions of a map, of each vehicle the first; none of pedestrians.
+    """The ways of a recording's vehicles across some junctions of a map, of each the first; none of pedestrians.
 
     A vehicle that is not seen to leave has the exit of its lane, where that leads to one alone.
     """

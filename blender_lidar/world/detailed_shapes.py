@@ -180,7 +180,7 @@ def _person(hip, shoulder, head):
     yield limb([(head_x, 0, chin + up, half_width, half_depth) for up, half_width, half_depth in rings], 8)
 
 
-# --- Road users of every class, from these parts ------------------------------------------------------------------------
+# --- Road users of every class, from these parts ----------------------------------------------------------------------
 
 
 def detailed_shape(name: str) -> Shape:
