@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,7 @@ def registered(quick, tmp_path_factory, monkeypatch):
     """The add-on in a new file; the processes that it starts draw no charts either."""
     folder = tmp_path_factory.mktemp("no_charts")
     (folder / "matplotlib.py").write_text("raise ImportError('not in this Python')\n")
-    monkeypatch.syspath_prepend(folder)  # which they are given
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
     bpy.ops.wm.read_homefile(use_empty=True)
     addon.register()
     yield

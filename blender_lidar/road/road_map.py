@@ -95,15 +95,19 @@ def polygon_holds(polygon: Sequence[Sequence[float]], xy: np.ndarray) -> np.ndar
 
     `polygon` are its corners (m, 2) in the order of its outline, in the unit of the points.
     """
-    start = np.asarray(polygon, dtype=float)
+    start, xy = np.asarray(polygon, dtype=float), np.asarray(xy)
+    found = ((xy >= start.min(axis=0) - _ON_EDGE_M) & (xy <= start.max(axis=0) + _ON_EDGE_M)).all(axis=1)
+    if not found.any():
+        return found
     edge = np.roll(start, -1, axis=0) - start
-    x, y = (xy[:, None, axis] - start[:, axis] for axis in (0, 1))  # (n, m), of each point from each corner
+    x, y = (xy[found][:, None, axis] - start[:, axis] for axis in (0, 1))  # (n, m), of each from each corner
     crossed = (y < 0.0) != (y < edge[:, 1])  # edges that the level of the point meets; the lower end belongs to one
     with np.errstate(divide="ignore", invalid="ignore"):
         inside = (crossed & (x < edge[:, 0] * (y / edge[:, 1]))).sum(axis=1) % 2 == 1
         along = np.clip((x * edge[:, 0] + y * edge[:, 1]) / np.square(edge).sum(axis=1), 0.0, 1.0)
     off = np.hypot(x - along * edge[:, 0], y - along * edge[:, 1])
-    return inside | (off <= _ON_EDGE_M).any(axis=1)
+    found[found] = inside | (off <= _ON_EDGE_M).any(axis=1)
+    return found
 
 
 class _Segments(NamedTuple):
