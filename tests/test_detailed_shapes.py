@@ -17,9 +17,11 @@ TYPICAL_SIZE = {
     "long_truck": (16.0, 2.6, 3.8),
     "bus": (12.0, 2.55, 3.2),
     "motorcycle": (2.2, 0.9, 1.4),
+    "bicycle": (1.75, 0.6, 1.73),
+    "pedestrian": (0.32, 0.6, 1.75),
 }
 FAR = 50.0
-WITH_CABIN = [name for name in SHAPES if name != "motorcycle"]
+WITH_CABIN = [name for name in SHAPES if name not in ("motorcycle", "bicycle", "pedestrian")]
 
 
 def across(name, x, z):
@@ -104,7 +106,15 @@ def test_a_ray_passes_under_the_body_between_the_axles_and_meets_the_body_above(
 
 @pytest.mark.parametrize(
     ("name", "radius"),
-    [("car", 0.32), ("van", 0.34), ("truck", 0.45), ("long_truck", 0.5), ("bus", 0.48), ("motorcycle", 0.31)],
+    [
+        ("car", 0.32),
+        ("van", 0.34),
+        ("truck", 0.45),
+        ("long_truck", 0.5),
+        ("bus", 0.48),
+        ("motorcycle", 0.31),
+        ("bicycle", 0.34),
+    ],
 )
 def test_nothing_but_round_wheels_reaches_the_ground(name, radius):
     heights = np.array([0.05, 0.10, 0.14])

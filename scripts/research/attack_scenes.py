@@ -26,6 +26,8 @@ SIZES_M = {
     "long_truck": (12.7, 2.5, 3.8),
     "bus": (12.0, 2.5, 3.2),
     "motorcycle": (2.1, 0.8, 1.4),
+    "bicycle": (1.8, 0.6, 1.7),
+    "pedestrian": (0.8, 0.6, 1.7),
 }
 MOUNTS_M = np.array([[0.0, 0.0, 4.1], [-40.0, -1.0, 4.5], [7.0, 0.0, 0.8], [0.0, 9.0, 9.0]])
 
@@ -69,7 +71,7 @@ def vehicle(name: str, detail: str, centre_xy: tuple[float, float], heading_rad:
 
 
 def street(detail: str, heading_rad: float = 0.0) -> np.ndarray:
-    """Triangles (m, 3, 3) of a vehicle of each shape, on two lanes [m]: 46 m long, at y = 6 and 10 m."""
+    """Triangles (m, 3, 3) of a vehicle of each shape, on two lanes [m]: 61 m long, at y = 6 and 10 m."""
     return np.concatenate(
         [
             vehicle(name, detail, (15.0 * (number // 2) - 15.0, 6.0 + 4.0 * (number % 2)), heading_rad)
