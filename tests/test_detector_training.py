@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -22,7 +24,7 @@ from pillar_training import (
     shown,
     targets_of,
 )
-from train_detector import train
+from train_detector import CROSSINGS, site_windows, train
 
 AREA = Area((-51.2, -9.6), *WINDOW)
 CARS = np.array([(-20.0, 5.0), (-11.3, 8.7), (0.3, 5.1), (17.9, 12.2), (33.3, 16.0)])
@@ -137,3 +139,34 @@ def test_training_learns_and_goes_on_after_a_stop_as_if_there_had_been_none(tmp_
     frames = batch_of([shown(one, (False, False), 512, np.random.default_rng(0)) for one in windows["RS-16"]], 512)
     losses = [float(loss_of(weights, *frames)[0]) for weights in (fresh_weights(5), whole)]
     assert losses[1] < losses[0]
+
+
+SCENES = Path(__file__).parents[1] / "scenes"
+
+
+def test_every_third_site_is_a_crossing_where_vehicles_head_anywhere_and_who_walks_is_no_box():
+    pytest.importorskip("sumolib", reason="sumolib, of the extra maps, is not installed")
+    traffic, crossings = [str(SCENES / "i80_sample.csv.gz")], [str(SCENES / "crossing_sample.xml.gz")]
+    road = list(site_windows("RS-16", 0, traffic, crossings, 3))
+    crossing = list(site_windows("RS-16", CROSSINGS - 1, traffic, crossings, 8))
+    assert [len(road), len(crossing)] == [3, 8]
+    off = [np.abs(np.sin(np.concatenate([one.boxes[:, 6] for one in windows]))) for windows in (road, crossing)]
+    assert off[0].max() < np.sin(np.radians(15.0))
+    assert (off[1] > np.sin(np.radians(15.0))).mean() > 0.5
+    within, astray = [], []
+    for one in crossing:
+        first, size = np.array(one.area.first_m), 0.4 * np.array(WINDOW)
+        assert ((one.points[:, :2] >= first) & (one.points[:, :2] < first + size)).all()
+        assert {*one.boxes[:, 7].astype(int).tolist()} <= {0, 1, 2}
+        assert one.boxes[:, 4].min() > 0.64  # metres of width: a bicycle's at least, a pedestrian has 0.6
+        for turned, found in ((1.0, within), (-1.0, astray)):  # its points are where it is, turned as it is
+            for box in one.boxes[one.boxes[:, 8] > 20]:
+                cos, sin = np.cos(box[6]), turned * np.sin(box[6])
+                along = (one.points[:, :2] - turned * box[:2]) @ np.array([[cos, -sin], [sin, cos]])
+                held = (np.abs(along) < 0.5 * box[3:5] + 0.3).all(axis=1) & (np.abs(one.points[:, 2] - 0.9) < 0.8)
+                found.append((held.sum(), box[8] if (np.abs(box[:2] - first - 0.5 * size) < 0.5 * size).all() else 0.0))
+    share = [np.array(found)[:, 0].sum() / np.array(found)[:, 1].sum() for found in (within, astray)]
+    assert share[0] > 0.6
+    assert share[1] < 0.3 * share[0]
+    straight = list(site_windows("RS-16", CROSSINGS - 1, traffic, [], 2))
+    assert max(np.abs(np.sin(one.boxes[:, 6])).max() for one in straight) < np.sin(np.radians(15.0))

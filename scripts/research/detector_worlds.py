@@ -1,6 +1,8 @@
-"""The worlds in which detectors are trained and judged: clean, and hard enough that they can fail."""
+"""The worlds in which detectors are trained and judged: clean, hard enough that they can fail, and at a crossing."""
 
 from __future__ import annotations
+
+from blender_lidar.names import CLASSES
 
 Options = dict[tuple[str, str], tuple[object, str]]
 
@@ -24,3 +26,13 @@ def hard_world() -> Options:
         ("objective", "tolerance"): {"height_m": 0.05, "tilt_deg": 1.0},
     }
     return {place: (value, place[1]) for place, value in settings.items()}
+
+
+def crossing_world() -> Options:
+    """The hard world at an intersection on its map, where people walk; maps have neither clutter nor slopes.
+
+    Candidate poles have no tolerance; whoever takes one of them gives it that of the hard world.
+    """
+    left_out = ("road", "objective")
+    kept = {place: given for place, given in hard_world().items() if place[0] not in left_out and place[1] != "clutter"}
+    return kept | {("objective", "classes"): (CLASSES, "classes")}

@@ -14,6 +14,8 @@ vehicles with their sizes, and places for poles. No vehicle in it was ever obser
 (the shipped ones: SUMO 1.28.0).
 
     python scripts/research/make_crossing.py --sample scenes
+
+With another --seed it is fresh traffic at the same intersection, such as detectors are trained on.
 """
 
 from __future__ import annotations
@@ -281,15 +283,15 @@ def packed(text: str) -> bytes:
     return gzip.compress(text.encode(), mtime=0)
 
 
-def make_sample(out: Path, minutes: float = SAMPLE_MINUTES) -> None:
+def make_sample(out: Path, minutes: float = SAMPLE_MINUTES, seed: int = SAMPLE_SEED) -> None:
     """Simulate the shipped intersection and write its files."""
     begin_s = float(WARM_UP_S)
     end_s = begin_s + 60.0 * minutes
     with tempfile.TemporaryDirectory(prefix="make_crossing_") as name:
         folder = Path(name)
         write_sample_network(folder)
-        write_sample_routes(folder, np.random.default_rng(SAMPLE_SEED), end_s)
-        options = f"""--net-file=net.xml --route-files=routes.xml --xml-validation=never --seed={SAMPLE_SEED}
+        write_sample_routes(folder, np.random.default_rng(seed), end_s)
+        options = f"""--net-file=net.xml --route-files=routes.xml --xml-validation=never --seed={seed}
             --step-length={SAMPLE_STEP_S} --end={end_s:.1f} --fcd-output=fcd.xml --device.fcd.begin={begin_s:.1f}
             --fcd-output.attributes=x,y,angle,type,lane --time-to-teleport=-1 --step-log.period=100"""
         run_tool("sumo", folder, options, end_s)
@@ -312,6 +314,7 @@ def _arguments(argv):
     what.add_argument("--sample", type=Path, metavar="FOLDER", help="make the shipped intersection")
     parser.add_argument("--recordings", type=positive, default=60)
     parser.add_argument("--cycle", type=positive, default=90, metavar="S", help="cycle of the recordings' signal")
+    parser.add_argument("--seed", type=int, default=SAMPLE_SEED, help="of the shipped intersection (default 42)")
     parser.add_argument("--minutes", type=float, help="10 of a recording, 30 of the shipped intersection")
     return parser.parse_args(argv)
 
@@ -319,7 +322,7 @@ def _arguments(argv):
 def _make(args) -> None:
     if args.sample:
         make_folder(args.sample, "--sample")
-        make_sample(args.sample, args.minutes or SAMPLE_MINUTES)
+        make_sample(args.sample, args.minutes or SAMPLE_MINUTES, args.seed)
         return
     if args.cycle < 4 * YELLOW_S:
         raise InputError(f"--cycle {args.cycle}: allowed is {4 * YELLOW_S} s or more")

@@ -4,21 +4,28 @@
     make() { python scripts/research/make_traffic.py --every-s 5 "$@"; }
     make --seed 101 --minutes 30 --out jammed.csv.gz
     make --seed 404 --minutes 20 --level free --out free.csv.gz
-    python scripts/research/train_detector.py --traffic jammed.csv.gz free.csv.gz --out pillars.npz
+    python scripts/research/make_crossing.py --sample crossing_7 --seed 7 --minutes 20
+    python scripts/research/train_detector.py --traffic jammed.csv.gz free.csv.gz \\
+        --crossings crossing_7/crossing_sample.xml.gz --out pillars.npz
 
-Every site of the training has its own slopes, clutter, mountings and errors of installation. Stopped and started again
-it goes on where it was: clouds and checkpoints are kept in --work. The same seed gives the same weights on the same
-machine with the same number of threads; elsewhere sums are added up in another order.
+Every site of the training has its own slopes, clutter, mountings and errors of installation; the road lies to either
+side of the LiDAR (`pillar_training.shown` flips). With --crossings every third site is at the shipped intersection,
+each scan turned by any angle, with vehicles that turn and people who walk and are none of the boxes; the weights that
+ship were trained without. Stopped and started again it goes on where it was: clouds and checkpoints are kept in --work.
+The same seed gives the same weights on the same machine with the same number of threads; elsewhere sums are added up in
+another order.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -34,12 +41,16 @@ from blender_lidar.detection.ground import fit_ground
 from blender_lidar.detection.pillars import PILLAR_M, Area, density
 from blender_lidar.errors import InputError
 from blender_lidar.files import check_place, make_folder, read_file, whole_file, write_text
+from blender_lidar.road.road_map import wrap_angle
 from blender_lidar.scene.deployment import MOUNTING
 from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.settings import Tolerance
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
+from blender_lidar.studies.candidates import at_one_place
 from blender_lidar.traffic.boxes import kind_of
-from detector_worlds import hard_world
+from blender_lidar.traffic.vehicles import PEDESTRIAN
+from detector_worlds import crossing_world, hard_world
 from pillar_training import BATCH, WINDOW, Window, batch_of, fresh_weights, rate_at, shown, train_step
 
 MOST_POINTS = {"RS-16": 4096, "RS-32": 8192, "RS-80": 16384}  # above the ground, of a window
@@ -55,6 +66,8 @@ _DRAWN = {  # by site, or within it by scan: from where to where
     "crown_percent": (0.0, 2.5),
     "variety_seed": "the number of the site",
 }
+CROSSINGS = 3  # one of so many sites, where recordings of crossings are given
+_AT_CROSSING = ("height_m", "tilt_x_deg", "tilt_y_deg")  # of `_DRAWN`: its poles stand where they stand
 _BY_SITE = ("clutter", "grade_percent", "cross_fall_percent", "crown_percent")
 MOUNTINGS = 60  # of a site
 CHECKPOINT_S = 60.0
@@ -67,6 +80,9 @@ def main(argv: list[str] | None = None) -> int:
 def _arguments(argv):
     parser = parser_of(__doc__)
     parser.add_argument("--traffic", nargs="+", required=True, metavar="FILE", help="recordings, NGSIM's columns")
+    parser.add_argument(
+        "--crossings", nargs="+", default=[], metavar="FILE", help="recordings of make_crossing.py --sample"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.npz", help="the weights")
     parser.add_argument(
         "--work", type=Path, default=Path("train_detector"), help="where clouds and checkpoints are kept"
@@ -83,7 +99,9 @@ def _train(args) -> None:
     check_place(args.out, "--out")
     make_folder(args.work, "--work")
     made_of = {
-        "traffic": {Path(path).name: hashlib.sha256(read_file(path)).hexdigest() for path in args.traffic},
+        "traffic": {
+            Path(path).name: hashlib.sha256(read_file(path)).hexdigest() for path in (*args.traffic, *args.crossings)
+        },
         "world": {name: value for (_, name), (value, _) in hard_world().items() if name not in _DRAWN},
         "drawn": _DRAWN,
     }
@@ -124,7 +142,7 @@ def _windows(args) -> dict[str, list[Window]]:
     jobs = [(sensor, number) for sensor in SENSORS for number in range(args.sites)]
     paths = [args.work / f"{sensor}_{number}_{args.scans}.npz" for sensor, number in jobs]
     left = [at for at, path in enumerate(paths) if not path.exists()]
-    make = partial(_make_site, jobs, paths, args.traffic, args.scans)
+    make = partial(_make_site, jobs, paths, args.traffic, args.crossings, args.scans)
     with counting(max(len(left), 1), "sites") as advance, closing(Workers(make, args.workers)) as pool:
         for _ in pool.each(left):
             advance(1)
@@ -134,54 +152,73 @@ def _windows(args) -> dict[str, list[Window]]:
     return found
 
 
-def _make_site(jobs, paths, traffic: Sequence[str], scans: int, at: int) -> None:
+def _make_site(jobs, paths, traffic: Sequence[str], crossings: Sequence[str], scans: int, at: int) -> None:
     """The windows of one of the jobs, in its file."""
-    made = list(site_windows(*jobs[at], traffic, scans))
+    made = list(site_windows(*jobs[at], traffic, crossings, scans))
     with whole_file(paths[at]) as temporary:
         np.savez(temporary, **_as_arrays(made))
 
 
-def site_windows(sensor: str, number: int, traffic: Sequence[str], scans: int) -> Iterator[Window]:
+def site_windows(
+    sensor: str, number: int, traffic: Sequence[str], crossings: Sequence[str], scans: int
+) -> Iterator[Window]:
     """Windows of one site: its slopes and clutter are drawn by its number, each scan's mounting within its bounds."""
     rng = np.random.default_rng([SENSORS.index(sensor), number])
+    crossed = bool(crossings) and number % CROSSINGS == CROSSINGS - 1
+    recordings, drawn = (crossings, _AT_CROSSING) if crossed else (traffic, MOUNTING)
     settings = {
         ("sensor", "name"): sensor,
-        ("traffic", "path"): str(Path(traffic[number % len(traffic)]).resolve()),
+        ("traffic", "path"): str(Path(recordings[number % len(recordings)]).resolve()),
         ("traffic", "frames"): 60,
         ("traffic", "holdout"): 0.0,
-        **{("deployment", name): limits for name, limits in _DRAWN.items() if name in MOUNTING},
+        **{("deployment", name): limits for name, limits in _DRAWN.items() if name in drawn},
         ("search", "seeds"): 1,
         ("world", "variety_seed"): number,
     }
-    for name in _BY_SITE:
+    for name in () if crossed else _BY_SITE:
         settings["world" if name == "clutter" else "road", name] = float(rng.uniform(*_DRAWN[name]))
     options = {place: (value, place[1]) for place, value in settings.items()}
-    site = prepare(load_scenario(SCENES / "i80.toml", {**hard_world(), **options}))
+    scene, world = ("crossing.toml", crossing_world()) if crossed else ("i80.toml", hard_world())
+    scenario = load_scenario(SCENES / scene, {**world, **options})
+    if crossed:
+        poles = [place.pole.name for place in scenario.deployment.places]
+        scenario = at_one_place(scenario, poles[number // CROSSINGS % len(poles)])
+        tolerance = Tolerance(**hard_world()["objective", "tolerance"][0])
+        scenario = replace(scenario, objective=replace(scenario.objective, tolerance=tolerance))
+    site = prepare(scenario)
     plan = plan_dataset(site, MOUNTINGS, scans, seed=number + 1)
     for one in samples(plan):
         if one.scan.split == TRAIN:
-            yield window_of(one, site.observation.lidar.max_range_m, rng)
+            yield window_of(one, site.observation.lidar.max_range_m, rng, crossed)
 
 
-def window_of(sample: Sample, gate_m: float, rng: np.random.Generator) -> Window:
-    """A part of a scan as large as `WINDOW`, anywhere along the road within the range gate and nearly all across it."""
+def window_of(sample: Sample, gate_m: float, rng: np.random.Generator, crossed: bool = False) -> Window:
+    """A part of a scan as large as `WINDOW`, within the range gate: nearly all across a road, anywhere at a crossing.
+
+    There the scan is turned about the mast by any angle.
+    """
     pose = sample.pose
     foot, size = np.array([pose.x_m, pose.y_m, 0.0]), PILLAR_M * np.array(WINDOW)
     low = np.array([-gate_m - 4.0, -13.0 - pose.y_m])
     high = np.maximum([gate_m + 4.0 - size[0], -8.0 - pose.y_m], low)
+    turn = 0.0
+    if crossed:
+        low, high, turn = np.full(2, -gate_m - 4.0), gate_m + 4.0 - size, rng.uniform(-math.pi, math.pi)
     first = PILLAR_M * np.rint(rng.uniform(low, high) / PILLAR_M)
-    from_lidar = sample.cloud.xyz - foot
+    cos, sin = math.cos(turn), math.sin(turn)
+    about = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])  # for rows
+    from_lidar = (sample.cloud.xyz - foot) @ about
     inside = ((from_lidar[:, :2] >= first) & (from_lidar[:, :2] < first + size)).all(axis=1)
     vehicles, labelled = sample.vehicles, sample.labelled
     boxes = np.column_stack(
         [
-            vehicles.centre_m - foot,
+            (vehicles.centre_m - foot) @ about,
             vehicles.size_m,
-            vehicles.heading_rad,
+            wrap_angle(vehicles.heading_rad + turn),
             kind_of(vehicles.class_index),
             np.where(labelled, sample.points, 0),
         ]
-    )
+    )[vehicles.class_index != PEDESTRIAN]
     lean = np.degrees(np.arccos(min(1.0, pose.rotation[2, 2])))
     area = Area(tuple(first.tolist()), *WINDOW)
     return Window(from_lidar[inside].astype(np.float32), boxes, pose.height_m, float(lean), area)
