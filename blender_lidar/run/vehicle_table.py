@@ -13,6 +13,7 @@ import numpy as np
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..metrics.vgop import entropy
 from ..optimise import vehicle_score
+from ..road.road_map import RoadMap
 from ..scene.mounting import Layout
 from ..scene.observation import WAY_COLUMNS, first_zone
 from ..scene.settings import ObjectiveSettings
@@ -170,9 +171,10 @@ def approaches(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
     return [(str(name), table[APPROACH] == name) for name in np.unique(table[APPROACH]) if name]
 
 
-def _map_lanes(table: Mapping[str, np.ndarray]) -> list[tuple[str, np.ndarray]]:
-    """Names of the map's lanes that hold vehicles, and which rows of a vehicle table each holds."""
-    names = table[WAY_COLUMNS[-1]]
+def _map_lanes(table: Mapping[str, np.ndarray], road: RoadMap) -> list[tuple[str, np.ndarray]]:
+    """Names of the map's lanes that hold vehicles, those in a junction together, and which rows each holds."""
+    inner = {lane.name: f"junction {lane.junction}" for lane in road.lanes if lane.junction}
+    names = np.array([inner.get(name, name) for name in table[WAY_COLUMNS[-1]].tolist()])
     return [(name or "off the lanes", names == name) for name in np.unique(names).tolist()]
 
 
@@ -191,6 +193,9 @@ def zones(table: Mapping[str, np.ndarray], objective: ObjectiveSettings) -> list
     zone = first_zone(objective, np.column_stack([table["x_m"], table["y_m"]]))
     names = [*(one.name for one in objective.zones), "outside all zones"]
     return [(name, zone == number) for number, name in enumerate(names) if (zone == number).any()]
+
+
+_SAME_PLACE_M = 1.0  # of distances, between two mounts that stand in one place
 
 
 class BoxShares:
@@ -261,11 +266,13 @@ class BoxShares:
             )
             for table in (self.before, self.after)
         ]
-        found = {"distance": distance_bands(self.before), "lane": lanes(self.before), "class": classes(self.before)}
+        apart = np.abs(self.before["distance_m"] - self.after["distance_m"]).max(initial=0.0)
+        distance = "distance" if apart <= _SAME_PLACE_M else "distance from the baseline"
+        found = {distance: distance_bands(self.before), "lane": lanes(self.before), "class": classes(self.before)}
         found["zone"] = zones(self.before, objective) if objective.zones else []
         if APPROACH in self.before:
             if any(self.before[WAY_COLUMNS[-1]]):
-                found["lane"] = _map_lanes(self.before)
+                found["lane"] = _map_lanes(self.before, site.scenario.road_map)
             found |= {APPROACH: approaches(self.before), MOVEMENT: movements(self.before)}
         if "lane" in found and not self.before["lane"].any() and APPROACH not in self.before:
             del found["lane"]
