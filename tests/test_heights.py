@@ -12,6 +12,7 @@ from blender_lidar.clouds.snapshot import mounted_sensor
 from blender_lidar.scene.scenario import scenario_of
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.studies.variations import ablations, traffic_variations
 from blender_lidar.toml_table import to_toml
 
 HEADER = "frame,vehicle_id,class,x_m,y_m,length_m,width_m,height_m,heading_deg,time_s"
@@ -160,3 +161,17 @@ def test_a_detector_refuses_heights_in_one_line(tmp_path, capsys):
         told = capsys.readouterr().err
         assert "[road] opendrive has heights; a detector needs a level map" in told
         assert told.count("\n") == 1
+
+
+def test_chart_and_stability_can_level_the_road_and_a_level_road_has_no_such_row(tmp_path):
+    (tmp_path / "level").mkdir()
+    (site, sloped), (flat, level) = totals(scene(tmp_path, SLOPE)), totals(scene(tmp_path / "level", LEVEL))
+    ((without, own),) = next(one.pairs for one in ablations(site, 1) if one.what == "heights")
+    layout = (site.scenario.mounting(HUNG),)
+    made = without.changed(site)
+    found = Evaluator(made.search, made.observation, made.scoring).totals([layout])
+    np.testing.assert_allclose(found.objective, level.objective, atol=1e-9)
+    assert (found.objective != sloped.objective).any()
+    assert own.changed(site) is site or own.changed(site).search == site.search
+    assert [one.what for one in traffic_variations(site, 1)].count("heights") == 1
+    assert not any(one.what == "heights" for one in (*ablations(flat, 1), *traffic_variations(flat, 1)))

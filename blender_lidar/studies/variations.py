@@ -17,10 +17,11 @@ from ..casting.protocol import StandingScenery
 from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
-from ..run.what_if import mixes, pedestrians_hide, without_pedestrians
-from ..scene.site import Site, lattice_of
+from ..run.what_if import mixes, pedestrians_hide, with_traffic, without_pedestrians
+from ..scene.site import Site, lattice_of, standing_scenery
 from ..scoring.fidelity import Fidelity, coarse_observation
 from ..sensors.beams import beam_lattice
+from ..traffic.vehicles import Vehicles
 from ..world.scenery import along_road, barrier, join
 from ..world.shapes import DETAILS
 from .driver import Variation
@@ -33,15 +34,18 @@ SECTIONS = (TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH)
 
 def traffic_variations(site: Site, draws: int) -> list[Variation]:
     """Lorries by lane, light traffic, rush hour and a queue, of `what_if.mixes`, what is drawn `draws` times; and no
-    pedestrians, where some hide vehicles.
+    pedestrians where some hide vehicles, a level road where the map has heights.
     """
     found = [
         Variation(TRAFFIC, mix.what, mix.value, partial(mix.change, seed=number), number)
         for mix in mixes(site, site.scenario.deployment.nominal_xy)
         for number in (range(1, draws + 1) if mix.is_drawn else (0,))
     ]
-    none = [Variation(TRAFFIC, "pedestrians", "left out", without_pedestrians)] if pedestrians_hide(site) else []
-    return [*found, *none]
+    if pedestrians_hide(site):
+        found.append(Variation(TRAFFIC, "pedestrians", "left out", without_pedestrians))
+    if _has_heights(site):
+        found.append(Variation(TRAFFIC, "heights", "level road", levelled))
+    return found
 
 
 # --- metric: the score with other constants, and other scores, of the same returns ------------------------------------
@@ -188,6 +192,7 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
     return [
         *_median_barrier(site, own),
         *_pedestrians(site, own),
+        *_heights(site, own),
         Ablation("body shape", "body, not box", ((box, body),)),
         Ablation("finer shape", "detailed, not body", ((body, detailed),)),
         _azimuth_offsets(site, own),
@@ -213,6 +218,32 @@ def _pedestrians(site: Site, own: Variation) -> list[Ablation]:
         return []
     none = Variation(ABLATION, "pedestrians", "left out", without_pedestrians)
     return [Ablation("pedestrians", "who hide vehicles", ((none, own),))]
+
+
+def _has_heights(site: Site) -> bool:
+    """Whether the site's map is not level."""
+    return site.scenario.straight is None and not site.scenario.road_map.surface.is_flat
+
+
+def _heights(site: Site, own: Variation) -> list[Ablation]:
+    """The heights of a map, if it has any."""
+    if not _has_heights(site):
+        return []
+    return [Ablation("heights", "of the map", ((Variation(ABLATION, "heights", "level road", levelled), own),))]
+
+
+def levelled(site: Site) -> Site:
+    """The site with a road as high everywhere as at the mast, which then hides nothing."""
+    scenario, surface = site.scenario, site.scenario.road_map.surface
+    foot_m = float(surface.height(np.array([scenario.deployment.nominal_xy]))[0])
+
+    def lowered(vehicles: Vehicles) -> Vehicles:
+        off = (surface.height(vehicles.centre_m) - foot_m)[:, None] * [0.0, 0.0, 1.0]
+        return replace(vehicles, centre_m=vehicles.centre_m - off)
+
+    bare = replace(scenario, world=replace(scenario.world, ground=False))
+    scenery = standing_scenery(bare, site.observation.caster)
+    return replace(with_traffic(site, lowered), observation=replace(site.observation, scenery=scenery))
 
 
 def _with_barrier(site: Site, y_m: float) -> Site:
