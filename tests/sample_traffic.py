@@ -13,6 +13,7 @@ from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.traffic.vehicles import CLASSES, Vehicles
 
 SIZES = np.array([[4.4, 1.85, 1.5], [5.2, 2.0, 1.9], [12.7, 2.5, 3.8], [12.0, 2.5, 3.2], [2.1, 0.8, 1.4]])
+SIZES = np.concatenate([SIZES, [[1.8, 0.6, 1.7], [0.5, 0.6, 1.7]]])
 
 
 def dense_traffic(seed: int = 1, vehicles: int = 130, length_m: float = 500.0, frame: int = 0) -> Vehicles:

@@ -12,17 +12,21 @@ from blender_lidar.casting import is_available
 from blender_lidar.errors import InputError
 from blender_lidar.report.summary import definitions
 from blender_lidar.road.driven import driven_area
+from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recordings
 from blender_lidar.scoring.evaluation import site_evaluator
 from blender_lidar.studies.variations import ablations, traffic_variations
-from blender_lidar.traffic import read_table
+from blender_lidar.traffic import read_table, read_traffic
+from blender_lidar.traffic.fleet import queued
 from blender_lidar.traffic.movements import ways_by_track
 from blender_lidar.traffic.vehicles import CLASSES, PEDESTRIAN
+from tests.sample_traffic import joined, one_vehicle
 from tests.small_scene import cli, done, traffic_rows, write_scene, write_table
 
 EVERY = list(CLASSES)
+ROAD = road_map(StraightRoad(lanes=2, lane_width_m=3.5, setback_m=2.0))
 SIZES = {"bicycle": (1.76, 0.6, 1.73), "pedestrian": (0.6, 0.6, 1.73)}
 
 
@@ -92,9 +96,10 @@ def test_the_classes_that_are_named_are_scored_and_the_others_hide_them(tmp_path
     assert sums[0] == sums[1]
 
 
-def test_weight_0_lets_pedestrians_hide_and_chart_and_stability_then_have_a_row(tmp_path):
-    weights = {"classes": EVERY, "class_weights": {"pedestrian": 0.0}}
-    hiding = prepare(load_scenario(scene(tmp_path / "hiding", objective=weights)))
+def test_pedestrians_may_only_hide_and_chart_and_stability_then_have_a_row(tmp_path):
+    hiding = prepare(load_scenario(scene(tmp_path / "hiding", world={"pedestrians": True})))
+    assert counted(hiding) == {"car", "van", "truck", "bicycle"}
+    assert any((frame.vehicles.class_index == PEDESTRIAN).any() for frame in hiding.search)
     without = prepare(load_scenario(scene(tmp_path / "without", objective={}, users=False)))
     (row,) = [one for one in ablations(hiding, 1) if one.what == "pedestrians"]
     ((left_out, own),) = row.pairs
@@ -193,3 +198,68 @@ def test_who_walks_has_no_movement_and_makes_no_driven_area(tmp_path):
     assert not load_scenario(path).road_map.on(np.array([[6.0, 1.4]])).any()
     area = driven_area(recording.centre_m, recording.size_m, recording.heading_rad)
     assert area.on(np.array([[6.0, 1.4]])).all()
+
+
+def test_a_weight_of_a_class_that_is_not_scored_is_refused(tmp_path):
+    for objective in ({"class_weights": {"pedestrian": 3.0}}, {"classes": ["car"], "class_weights": {"truck": 5.0}}):
+        name = next(iter(objective["class_weights"]))
+        with pytest.raises(InputError, match=rf"\[objective\] class_weights: {name} is not scored; allowed: those of"):
+            load_scenario(scene(tmp_path, objective=objective))
+
+
+def test_every_verb_takes_a_mast_where_people_walk(tmp_path, capsys):
+    path = scene(tmp_path, objective={"classes": EVERY})
+    rows = [[frame, 77, "pedestrian", 0.0, 0.0, 0.8, 0.6, 1.7, 0.0, 2.0 * frame] for frame in range(60)]
+    write_table(tmp_path / "traffic.csv", [*traffic_rows(), *slow_rows(), *rows])
+    done(capsys, "scan", path, "--frame", 10, "--height", 3, "--out", tmp_path / "cloud.npz")
+    with np.load(tmp_path / "cloud.npz") as cloud:
+        assert "pedestrian" in cloud["class"].tolist()
+
+
+def test_queues_leave_who_walks_where_they_are():
+    walking = joined(*(one_vehicle("pedestrian", centre=(x, 6.0)) for x in (0.0, 0.4, 30.0)))
+    found = queued(walking, walking.size_m[:, 0], lambda gaps: np.clip(gaps, 1.5, 3.0), anchor_m=0.0, road=ROAD)
+    np.testing.assert_array_equal(found.centre_m, walking.centre_m)
+    driving = joined(*(one_vehicle("car", centre=(x, 6.0)) for x in (0.0, 8.0, 30.0)))
+    moved = queued(driving, driving.size_m[:, 0], lambda gaps: np.clip(gaps, 1.5, 3.0), anchor_m=0.0, road=ROAD)
+    assert (moved.centre_m != driving.centre_m).any()
+
+
+def test_a_table_of_people_without_any_size_is_read_and_a_car_without_one_is_refused():
+    def table(kind, **sizes):
+        cells = {"length_m": [4.5, 0.0], "width_m": [1.8, np.nan], "height_m": [1.5, np.nan]} | sizes
+        base = {"frame": [0, 0], "vehicle_id": [1, 2], "class": ["car", kind], "x_m": [0.0, 5.0], "y_m": [0.0, 5.0]}
+        return {key: np.array(values) for key, values in (base | cells | {"heading_deg": [0.0, 0.0]}).items()}
+
+    found = read_table(table("pedestrian"))
+    assert found.size_m.tolist() == [[4.5, 1.8, 1.5], [0.5, 0.6, 1.73]]
+    assert (found.report.sizes_repaired, found.centre_m[1, 2]) == (0, 0.865)
+    for sizes, said in (({}, "length_m is 0"), ({"length_m": [4.5, 4.5]}, "width_m is nothing")):
+        with pytest.raises(InputError, match=f"{said}; allowed: more than 0, 0.001 to 1000"):
+            read_table(table("car", **sizes))
+    with pytest.raises(InputError, match=r"length_m is 0\.0005; allowed"):
+        read_table(table("pedestrian", length_m=[4.5, 0.0005]))
+
+
+def test_a_vehicle_that_sumo_writes_without_its_lane_is_no_pedestrian(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = [f"{time};{name};{x};5;90;{kind};{lane}" for time in (0, 1) for name, x, kind, lane in FCD]
+    path.write_text(
+        "\n".join(["timestep_time;vehicle_id;vehicle_x;vehicle_y;vehicle_angle;vehicle_type;vehicle_lane", *rows])
+    )
+    found = read_traffic(path)
+    assert sorted({CLASSES[index] for index in found.class_index}) == ["car", "pedestrian"]
+    assert found.report.left_out == 2
+    assert "rows of vehicles on no road: 2 of passenger" in found.report.notes
+
+
+FCD = (("a", 0, "passenger", "e_0"), ("b", 10, "passenger", ""), ("p", 20, "DEFAULT_PEDTYPE", ""))
+
+
+def test_score_leaves_pedestrians_out(tmp_path, capsys):
+    columns = ("frame", "vehicle_id", "class", "x_m", "y_m", "length_m", "width_m", "height_m", "heading_deg")
+    rows = [[0, 1, "car", 10.0, 5.0, 4.5, 1.8, 1.5, 0.0], [0, 2, "pedestrian", 20.0, 5.0, 0.5, 0.6, 1.7, 0.0]]
+    boxes = write_table(tmp_path / "boxes.csv", rows, columns)
+    np.savez(tmp_path / "cloud.npz", xyz=np.array([[20.0, 5.0, 1.0], [10.0, 4.1, 1.0]]), vehicle_id=np.array([2, 1]))
+    out, _ = done(capsys, "score", "--points", tmp_path / "cloud.npz", "--boxes", boxes, "--assign", "id", "--json")
+    assert [one["class"] for one in json.loads(out)["vehicles"]] == ["car"]

@@ -36,7 +36,6 @@ from ..detection.stored import (
 )
 from ..errors import InputError, MissingExtraError, MissingFileError
 from ..files import check_folder, check_unused, make_folder, write_text
-from ..names import CLASSES
 from ..report.cloud_figures import draw_detections
 from ..report.detection import detection_table, detection_text
 from ..report.summary import as_sentence, region_text, warnings_text
@@ -50,6 +49,7 @@ from ..scene.site import Site, prepare
 from ..scoring.evaluation import workplace_of
 from ..toml_table import settings_of
 from ..traffic.boxes import DetectedBoxes
+from ..traffic.vehicles import CLASSES, PEDESTRIAN
 from .options import default_folder, given_options, mounting_from, new_folder, scenario_from
 from .parsers import ScoreOptions
 from .progress import Progress
@@ -103,10 +103,10 @@ def check_detector(detector: str) -> None:
 
 def check_judged(scenario: Scenario) -> None:
     """Refuse what detectors do not find: vehicles off one plane of ground near z = 0, and pedestrians."""
-    if CLASSES[-1] in (scenario.objective.classes or ()):
+    if CLASSES[PEDESTRIAN] in (scenario.objective.classes or ()):
         raise InputError(
             f"{scenario.where('objective', 'classes')}: pedestrian: the detectors find vehicles alone; allowed with a "
-            f"detector: {', '.join(CLASSES[:-1])}"
+            f"detector: {', '.join(CLASSES[:PEDESTRIAN])}"
         )
     if scenario.straight is None and not scenario.road_map.surface.is_flat:
         raise InputError(f"{scenario.source}: [road] opendrive has heights; a detector needs a level map")

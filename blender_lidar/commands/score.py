@@ -112,7 +112,7 @@ def _column(metric: Metric) -> str:
 
 def boxes_of(asked: ScoreOptions, boxes: str | Mapping) -> Vehicles:
     """Of a table of boxes, a file or itself, those of the frame that is asked for."""
-    recording = read_table(boxes)
+    recording = read_table(boxes).vehicles_alone
     if asked.assign == "id" and any(note.startswith(NUMBERED) for note in recording.report.notes):
         raise InputError(f"{asked.boxes}: vehicle_id are texts, and a cloud's are numbers; allowed: --assign box")
     frames = recording.frames

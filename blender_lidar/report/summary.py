@@ -16,7 +16,7 @@ from ..run.tolerance import tolerance_text
 from ..scene.mounting import ANGLES
 from ..sensors.model import model_names
 from ..statistics import FEW_BLOCKS, FEW_VEHICLES
-from ..traffic.vehicles import counted
+from ..traffic.vehicles import CLASSES, PEDESTRIAN, counted
 
 _TOLD_BELOW = 0.005
 LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
@@ -260,6 +260,7 @@ def definitions(result: Mapping) -> dict[str, str]:
     }
     if classes := identity.get("[objective] classes"):
         words["objective"] = words["objective"].replace("the vehicles in view", f"those in view ({', '.join(classes)})")
+        words["detectable"] += " Small boxes reach it with few returns: see points in vehicles.csv."
     if result.get("recordings"):
         words["objective"] += " The frames of a recording together count as its weight."
     if weights := weights_text(result):
@@ -440,7 +441,8 @@ def worth(result: Mapping) -> str:
     number, around = _unsigned(DETECTABLE, share, found["detectable_share_gain_interval_90"])
     points = f"{number} percentage points {'more' if share > 0.0 else 'fewer'}{around}"
     points = points if share else f"no difference{around}"
-    text = f"{after} % of the vehicles are detectable{within} "
+    walking = CLASSES[PEDESTRIAN] in (result["identity"].get("[objective] classes") or ())
+    text = f"{after} % of the {'road users' if walking else 'vehicles'} are detectable{within} "
     text += f"instead of {before} %{base_within} under the baseline, {points}"
     if not metric.of_share or _is_weighted(result):
         gain = _gain(found, base)

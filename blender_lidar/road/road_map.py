@@ -448,8 +448,8 @@ def _segments(road: RoadMap) -> _Segments:
         half = 0.5 * np.concatenate(ends)
     along = step / length[:, None]
     direction = wrap_angle(np.arctan2(along[:, 1], along[:, 0]) + math.pi * road.against[row])
-    ends = np.diff(row, prepend=-1) > 0, np.diff(row, append=len(road)) > 0
-    return _Segments(start, along, length, low, high, half, station, direction, row, *ends)
+    opens, closes = np.diff(row, prepend=-1) > 0, np.diff(row, append=len(road)) > 0
+    return _Segments(start, along, length, low, high, half, station, direction, row, opens, closes)
 
 
 def _together(pieces: _Segments, xy: np.ndarray) -> Iterator[tuple[np.ndarray | slice, _Segments]]:

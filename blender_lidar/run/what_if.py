@@ -120,9 +120,9 @@ def rush_hour(site: Site, seed: int = 0) -> Site:
 
 
 def pedestrians_hide(site: Site) -> bool:
-    """Whether there are pedestrians who have no weight, and so do nothing but hide vehicles."""
+    """Whether there are pedestrians who are not scored, and so only hide vehicles."""
     there = any((frame.vehicles.class_index == PEDESTRIAN).any() for frame in site.search)
-    return there and site.scenario.objective.class_weights.get(CLASSES[PEDESTRIAN]) == 0.0
+    return there and CLASSES[PEDESTRIAN] not in (site.scenario.objective.classes or ())
 
 
 def without_pedestrians(site: Site) -> Site:

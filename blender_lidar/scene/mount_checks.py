@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..road.road_map import RoadMap
-from ..traffic.vehicles import Vehicles, rectangles_overlap
+from ..traffic.vehicles import PEDESTRIAN, Vehicles, rectangles_overlap
 from ..world.scenery import HALF_WIDTH_M, HEIGHT_M
 from . import usual
 from .deployment import Place
@@ -76,7 +76,7 @@ def check_mount_is_clear(
         mounts[scenario.where("baseline", "x_m, y_m")] = scenario.baseline
     barriers = (boxes_around(barrier, scenario.road_map) for barrier in scenario.world.barriers)
     solids = [*scenario.world.boxes, *itertools.chain.from_iterable(barriers)]
-    frames = list(frames)
+    frames = [frame.select(frame.class_index != PEDESTRIAN) for frame in frames]  # who walk give way to masts
     for where, mount in mounts.items():
         reach = _reach(scenario, where, mount)
         _check_solids(reach, where, solids)

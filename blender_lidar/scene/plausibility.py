@@ -22,13 +22,16 @@ from .scenario import Scenario
 
 
 class _Seen:
-    """A recording in the road frame, and what several checks look at of it, made once."""
+    """The vehicles of a recording in the road frame, and what several checks look at, made once.
 
-    def __init__(self, recording: Recording, scenario: Scenario) -> None:
+    Sizes are looked at of `everyone`, who walks too.
+    """
+
+    def __init__(self, recording: Recording, everyone: Recording, scenario: Scenario) -> None:
         self.recording, self.scenario = recording, scenario
         self.warnings: dict[str, str] = {}
-        rows = np.unique(np.linspace(0, len(recording) - 1, min(len(recording), usual.SAMPLE)).astype(int))
-        self.sample = recording.where(np.bincount(rows, minlength=len(recording)) > 0)
+        rows = np.unique(np.linspace(0, len(everyone) - 1, min(len(everyone), usual.SAMPLE)).astype(int))
+        self.sample = everyone.where(np.bincount(rows, minlength=len(everyone)) > 0)
         self.tracks = Tracks(recording)
 
     @cached_property
@@ -57,7 +60,7 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
     """
     recording = _on_plane(recording, scenario)
     vehicles = recording.vehicles_alone
-    seen = _Seen(vehicles, scenario)
+    seen = _Seen(vehicles, recording, scenario)
     for name, check in _CHECKS.items():
         if name in ("tracks", "overlaps") and seen.warnings:
             continue  # they follow from a warning that is there already

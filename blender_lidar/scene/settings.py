@@ -118,9 +118,7 @@ class TrafficSettings:
     spacing_s: float | None = setting(None, above=0.0)
     holdout: float = setting(0.4, low=0.0, high=0.9)
     block_s: float | None = setting(None, above=0.0)
-    height_m: Mapping[str, float] = setting(
-        allowed=("car", "van", "truck", "long_truck", *CLASSES[3:]), above=0.0, high=10.0
-    )
+    height_m: Mapping[str, float] = setting(allowed=(*CLASSES, "long_truck"), above=0.0, high=10.0)
     accept: tuple[str, ...] | None = setting(None, allowed=(*WARNINGS, FRAMES), option="--accept", metavar="NAME")
 
 
@@ -315,8 +313,8 @@ class ObjectiveSettings:
         Installation errors to allow for, to either side: tilt_deg=1,height_m=0.05, also yaw_deg; aim=mean (default)
         maximises the mean over these errors, aim=low what nine of ten installations reach; none: no errors.
     classes : tuple of str or None
-        Classes that are scored, while other vehicles only hide them; by default all but pedestrian. Pedestrians are
-        left out unless they are named here, as their hiding changes no choice.
+        Classes that are scored, while other vehicles only hide them; by default all but pedestrian, who are left out
+        unless they are named here or [world] pedestrians has them.
     class_weights : mapping
         Weight of each class in the objective; by default 1.
     zones : tuple
@@ -422,6 +420,8 @@ class WorldSettings:
         Origin of the road frame in the frame of these files [m], z up, and direction of its x axis there.
     boxes, barriers : tuple
         Fixed objects that hide vehicles; the how-to has the keys of an entry.
+    pedestrians : bool
+        Whether recorded pedestrians are there and hide vehicles where [objective] classes does not name them.
     clutter : float
         Density of random roadside clutter (signs, trees, pedestrians ...): 0 is none, 1 some 14 objects on 100 m of
         each side.
@@ -444,6 +444,7 @@ class WorldSettings:
     heading_deg: float = setting(0.0, **HEADING)
     boxes: tuple[BoxSettings, ...] = setting(())
     barriers: tuple[BarrierSettings, ...] = setting(())
+    pedestrians: bool = setting(False)
     clutter: float = setting(0.0, low=0.0, high=10.0, option="--clutter")
     clutter_seed: int = setting(1, low=0)
     variety: float = setting(0.0, low=0.0, high=1.0, option="--variety")

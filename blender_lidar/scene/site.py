@@ -248,10 +248,9 @@ def prepare(
     names = [one.name or "" for one in scenario.recordings]
     recording, plan = joined_recordings(recordings, names), joined_plans(plans, recordings, names)
     frames = [recording.vehicles(frame) for frame in (*plan.search, *plan.holdout)]
-    driven = [frame.select(frame.class_index != PEDESTRIAN) for frame in frames]  # who walk give way to masts
-    check_mount_is_clear(scenario, driven)
+    check_mount_is_clear(scenario, frames)
     for mount in given:
-        check_mount_is_clear(scenario, driven, {"--x, --y": mount})
+        check_mount_is_clear(scenario, frames, {"--x, --y": mount})
     reach = reach_of(scenario, given)
     searched = tuple(_counted(frame, region, reach, objective) for frame in frames[: len(plan.search)])
     held_out = tuple(
@@ -391,7 +390,7 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
     settings, world = scenario.traffic, scenario.world
     recording = read_settings(settings, scenario.road)
     recording = with_variety(recording, world.variety, world.variety_seed, number)
-    if CLASSES[PEDESTRIAN] not in (scenario.objective.classes or ()):
+    if not world.pedestrians and CLASSES[PEDESTRIAN] not in (scenario.objective.classes or ()):
         recording = recording.vehicles_alone
     if settings.lanes is not None:
         in_lanes = np.isin(recording.lane, settings.lanes)

@@ -99,7 +99,7 @@ def tabled_frames(clouds: Sequence[str], table: str, frames: Sequence[int] | Non
     InputError, MissingFileError
         Naming the file, and the line where there is one.
     """
-    recording = read_table(table)
+    recording = read_table(table).vehicles_alone
     known = recording.frames
     if frames is None:
         if len(clouds) > 1 or len(known) > 1:

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..road.road_map import RoadMap
-from .vehicles import CLASSES, FLEET_KINDS, HEIGHTS_M, Recording, Vehicles, fleet_kind
+from .vehicles import CLASSES, FLEET_KINDS, HEIGHTS_M, PEDESTRIAN, Recording, Vehicles, fleet_kind
 
 # --- Heights and bodies -----------------------------------------------------------------------------------------------
 
@@ -223,6 +223,7 @@ def queued(
     """
     at, (right, left), width = road.locate(vehicles.centre_m), road.edges_t, float(np.median(road.width_m))
     along = np.abs(np.cos(vehicles.heading_rad - at.heading_rad)) >= _ALONG
+    along &= vehicles.class_index != PEDESTRIAN
     aside = np.floor((at.t_m - np.where(at.t_m < right, right, left)) / width).astype(int)
     beside = np.select([at.t_m < right, at.t_m >= left], [aside, len(road) + aside], _BETWEEN + aside)
     lane = np.where(at.lane >= 0, at.lane, beside)

@@ -209,11 +209,13 @@ def _read_type(attributes: Mapping[str, str], line: int, place: str) -> VehicleT
 
 
 def person_type(name: str, defined: Mapping[str, VehicleType] | None) -> VehicleType:
-    """The type of a person or a container, which may be defined elsewhere: SUMO's pedestrian unless more is known."""
+    """The type of what has no lane, which may be defined elsewhere: SUMO's pedestrian unless more is known.
+
+    The type of a vehicle there, as of one that SUMO wrote without its lane, is that of none on a road.
+    """
     known = {**_BUILT_IN, **(DEFAULT_TYPES if defined is None else defined)}
-    kind = known.get(name) or DEFAULT_TYPES.get(class_in_name(name) or "")
-    is_person = kind is not None and kind.class_name in (None, "pedestrian")
-    return kind if is_person else DEFAULT_TYPES["pedestrian"]
+    kind = known.get(name, DEFAULT_TYPES["pedestrian"])
+    return kind if kind.class_name in (None, "pedestrian") else kind._replace(class_name=None)
 
 
 def types_of(

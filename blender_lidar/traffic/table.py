@@ -54,10 +54,11 @@ BOX_COLUMNS = {
 _SIDES = ("length_m", "width_m")
 _SIDE = BOX_COLUMNS["length_m"]
 # A heading that is not known is that of motion; a size, which bicycles and pedestrians may lack, is the class's.
-READ_COLUMNS = BOX_COLUMNS | dict.fromkeys(_SIDES, _SIDE._replace(low=0.0, optional=True))
+READ_COLUMNS = BOX_COLUMNS | dict.fromkeys(_LENGTHS, _SIDE._replace(low=0.0, optional=True))
 READ_COLUMNS |= {"heading_deg": _FAR._replace(optional=True)}
 _SIZES_M = {"car": (4.5, 1.8), "van": (5.2, 2.0), "truck": (8.0, 2.5), "bus": (12.0, 2.55), "motorcycle": (2.2, 0.8)}
-_SIZES_M |= {"bicycle": (1.76, 0.6), "pedestrian": (0.8, 0.6)}  # KITTI's means
+# KITTI's mean with the rider; of who walks its width, and a short step: its mean length, 0.8 m, is a whole stride.
+_SIZES_M |= {"bicycle": (1.76, 0.6), "pedestrian": (0.5, 0.6)}
 _TRUCK_FROM_M = 7.0
 _SLOWEST_WALK_M_S = 0.5
 BOX_NEEDED = ("frame", "vehicle_id", "class", "x_m", "y_m", *_LENGTHS, "heading_deg")
@@ -128,8 +129,11 @@ def read_table(
     if "height_m" not in columns:
         columns["height_m"] = heights(columns["class"], columns["length_m"], height_m)
         assumed.append("Heights: by class, as the table has none")
-    elif height_m:
-        raise InputError(f"{path}: [traffic] height_m is for traffic without heights, and the table has height_m")
+    else:
+        if height_m:
+            raise InputError(f"{path}: [traffic] height_m is for traffic without heights, and the table has height_m")
+        usual = heights(columns["class"], columns["length_m"], None)
+        columns["height_m"] = np.where(columns["height_m"] > 0.0, columns["height_m"], usual)
     others = [columns[name] for name in columns if name not in ("frame", "vehicle_id")]
     values = np.nan_to_num(np.column_stack(others), nan=np.inf)
     kept, duplicates, repeated = drop_repeats(columns["vehicle_id"], columns["frame"], values)
@@ -158,7 +162,6 @@ def read_table(
             duplicates=duplicates,
             repeated=repeated,
             left_out=left_out,
-            sizes_repaired=0 if sized is None or sized.all() else len(np.unique(columns["vehicle_id"][sized[kept]])),
             headings_held=0 if held is None else int(held.sum()),
             notes=tuple(notes),
             assumed=(*of_time, *assumed),
@@ -280,13 +283,17 @@ def _columns(table: str | Path | Mapping) -> tuple[dict[str, np.ndarray], int, l
 
 
 def _check_sides(rows: Rows, part: dict[str, np.ndarray], kind: np.ndarray | None) -> None:
-    """Refuse a motor vehicle of no length or width."""
-    motor = np.ones(len(rows), dtype=bool) if kind is None else kind < CLASSES.index("bicycle")
-    for name in _SIDES:
-        none = np.flatnonzero(motor & ~(part.get(name, np.ones(len(rows))) > 0.0))
-        if len(none):
-            seen = "0" if part[name][none[0]] == 0.0 else "nothing"
-            raise InputError(f"{rows.where(none[0])}: {name} is {seen}; allowed: {_SIDE.allowed}")
+    """Refuse a size that is none; bicycles and pedestrians may have none at all."""
+    may_lack = np.zeros(len(rows), dtype=bool) if kind is None else np.isin(kind, _MAY_LACK_SIZE)
+    for name in _LENGTHS:
+        sizes = part.get(name, np.ones(len(rows)))
+        wrong = np.flatnonzero(~(sizes >= _SIDE.low) & ~(may_lack & ~(sizes > 0.0)))
+        if len(wrong):
+            seen = "nothing" if np.isnan(sizes[wrong[0]]) else f"{sizes[wrong[0]]:.15g}"
+            raise InputError(f"{rows.where(wrong[0])}: {name} is {seen}; allowed: {_SIDE.allowed}")
+
+
+_MAY_LACK_SIZE = CLASSES.index("bicycle"), PEDESTRIAN
 
 
 _ON_NO_ROAD = -2

@@ -50,7 +50,7 @@ from blender_lidar.scoring.workers import Workers
 from blender_lidar.studies.candidates import at_one_place
 from blender_lidar.traffic.boxes import kind_of
 from blender_lidar.traffic.vehicles import PEDESTRIAN
-from detector_worlds import crossing_world, hard_world
+from detector_worlds import Options, crossing_world, hard_world
 from pillar_training import BATCH, WINDOW, Window, batch_of, fresh_weights, rate_at, shown, train_step
 
 MOST_POINTS = {"RS-16": 4096, "RS-32": 8192, "RS-80": 16384}  # above the ground, of a window
@@ -99,12 +99,12 @@ def _train(args) -> None:
     check_place(args.out, "--out")
     make_folder(args.work, "--work")
     made_of = {
-        "traffic": {
-            Path(path).name: hashlib.sha256(read_file(path)).hexdigest() for path in (*args.traffic, *args.crossings)
-        },
-        "world": {name: value for (_, name), (value, _) in hard_world().items() if name not in _DRAWN},
+        "traffic": _digests(args.traffic),
+        "world": _told(hard_world()),
         "drawn": _DRAWN,
     }
+    if args.crossings:
+        made_of |= {"crossings": _digests(args.crossings), "world_there": _told(crossing_world()), "one_of": CROSSINGS}
     _check_work(args.work, made_of)
     windows = _windows(args)
     kept = args.work / f"checkpoint_{args.seed}_{args.steps}_{args.sites}_{args.scans}.npz"
@@ -124,6 +124,16 @@ def _train(args) -> None:
     with whole_file(args.out) as temporary:
         np.savez_compressed(temporary, card=json.dumps(card), **halves)
     print(f"{args.out}: {args.out.stat().st_size / 1e6:.2f} MB", file=sys.stderr)
+
+
+def _digests(paths: Sequence[str]) -> dict[str, str]:
+    """SHA-256 of recordings by their names."""
+    return {Path(path).name: hashlib.sha256(read_file(path)).hexdigest() for path in paths}
+
+
+def _told(world: Options) -> dict[str, object]:
+    """The settings of a world that no site draws."""
+    return {name: value for (_, name), (value, _) in world.items() if name not in _DRAWN}
 
 
 def _check_work(folder: Path, made_of: Mapping) -> None:
@@ -177,6 +187,8 @@ def site_windows(
     }
     for name in () if crossed else _BY_SITE:
         settings["world" if name == "clutter" else "road", name] = float(rng.uniform(*_DRAWN[name]))
+    gate_m = load_scenario(SCENES / "i80.toml", {("sensor", "name"): (sensor, "name")}).sensor.range_gate_m
+    settings["sensor", "range_gate_m"] = gate_m  # that of the sensor, wherever it hangs
     options = {place: (value, place[1]) for place, value in settings.items()}
     scene, world = ("crossing.toml", crossing_world()) if crossed else ("i80.toml", hard_world())
     scenario = load_scenario(SCENES / scene, {**world, **options})
