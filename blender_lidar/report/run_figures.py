@@ -29,7 +29,7 @@ from .figure import (
     legend_below,
     sheet,
 )
-from .summary import mounting_name, run_text, sharp_of, sides, was_searched
+from .summary import judged, mounting_name, run_text, sharp_of, sides, was_searched
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -286,9 +286,8 @@ def plot_by_approach(path: str | Path, result: Mapping) -> None:
     rows = approach_rows(result)
     looks = {"before": BASELINE_LOOK, "after": OPTIMISED_LOOK}
     names = dict(zip(looks, (name.lower() for name, _ in sides(result)), strict=True))
-    with sheet(
-        path, 36.0 + 8.0 * len(rows), "Detectable vehicles by approach and movement", run_text(result)
-    ) as figure:
+    subtitle = f"{result['sensor']}, range gate {result['range_gate_m']:g} m; {judged(result)[2]}"
+    with sheet(path, 36.0 + 8.0 * len(rows), "Detectable vehicles by approach and movement", subtitle) as figure:
         axes = figure.subplots()
         for at, row in enumerate(rows):
             if at and row["by"] == APPROACH:
