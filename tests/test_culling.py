@@ -14,9 +14,10 @@ from blender_lidar.casting.culling import cut_vehicles, ray_directions, reachabl
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
+from blender_lidar.traffic.vehicles import CLASSES
 from blender_lidar.world.shapes import DETAILS, SHAPES
 from blender_lidar.world.triangles import vehicle_triangles
-from tests.sample_traffic import SIZES, dense_traffic, one_vehicle
+from tests.sample_traffic import dense_traffic, one_vehicle
 
 SENSORS = ("RS-16", "RS-LiDAR-32", "RS-BPearl")  # even, with azimuth offsets, looking up to its own axis
 PLACES = ("roadside", "above", "beside", "inside", "behind")
@@ -201,10 +202,10 @@ def test_the_pieces_of_a_vehicle_cover_its_surface_and_stay_in_its_box(name, det
     assert inside.any(axis=1).all()
 
 
-def test_every_class_of_the_sample_traffic_is_in_the_property_test():
+def test_every_motor_vehicle_class_is_in_the_property_test():
     """Guards the strategy above: it would be worthless if it drew cars alone."""
     drawn = {int(index) for seed in range(40) for index in dense_traffic(seed=seed, vehicles=5).class_index}
-    assert drawn == set(range(len(SIZES)))
+    assert drawn == set(range(CLASSES.index("bicycle")))
 
 
 @pytest.mark.skipif(not is_available("raster"), reason="Numba is not installed")

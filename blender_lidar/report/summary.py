@@ -441,7 +441,7 @@ def worth(result: Mapping) -> str:
     number, around = _unsigned(DETECTABLE, share, found["detectable_share_gain_interval_90"])
     points = f"{number} percentage points {'more' if share > 0.0 else 'fewer'}{around}"
     points = points if share else f"no difference{around}"
-    walking = CLASSES[PEDESTRIAN] in (result["identity"].get("[objective] classes") or ())
+    walking = CLASSES[PEDESTRIAN] in (result.get("identity", {}).get("[objective] classes") or ())
     text = f"{after} % of the {'road users' if walking else 'vehicles'} are detectable{within} "
     text += f"instead of {before} %{base_within} under the baseline, {points}"
     if not metric.of_share or _is_weighted(result):
