@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import gzip
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from blender_lidar.detection.judge import detection_result, judge_detector, judged_boxes, watched
+from blender_lidar.detection.pillars import PillarsDetector
+from blender_lidar.detection.scores import recall
 from blender_lidar.errors import InputError
+from blender_lidar.report.detection import detection_table
+from blender_lidar.report.summary import approaches_text
+from blender_lidar.report.tables import table_text
 from blender_lidar.road.driven import driven_area
 from blender_lidar.road.road_map import polygon_holds
 from blender_lidar.scene.scenario import scenario_of
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.traffic.boxes import DetectedBoxes, kind_of
 
 pytest.importorskip("sumolib", reason="sumolib is not installed")
 
@@ -152,3 +160,40 @@ def test_the_content_of_the_map_is_part_of_a_runs_identity(tmp_path, site):
     net.write_bytes(gzip.decompress((SCENES / "crossing.net.xml.gz").read_bytes()).replace(b"13.90", b"13.80"))
     other = prepare(scenario_of(crossing(road={"net": str(net)})))
     assert other.identity["[road] net"] != site.identity["[road] net"]
+
+
+def test_a_detector_is_judged_by_approach_and_the_sheet_tells_each_approachs_share(site):
+    """One that finds all vehicles from the west and no others."""
+    found = []
+    for frame in site.holdout:
+        vehicles = frame.vehicles.select(frame.ways["approach"] == "from_west")
+        kinds, sure = kind_of(vehicles.class_index), np.full(len(vehicles), 0.9)
+        found.append(DetectedBoxes(vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, kinds, sure))
+    judged = judged_boxes(found, site.holdout, site.region, (19.0, 19.0), None)
+    result = detection_result(site, "ours", {"mounting": judged})["mountings"]["mounting"]
+    recall = {name: one["recall_0.3"] for name, one in result["by_approach"].items()}
+    assert recall == {"from_west": 1.0, "from_east": 0.0, "from_north": 0.0, "from_south": 0.0}
+    known = sum(int(frame.counted[frame.ways["approach"] != ""].sum()) for frame in site.holdout)
+    assert sum(one["vehicles"] for one in result["by_approach"].values()) == known
+    for one in result["by_approach"].values():
+        assert one["recall_0.3_interval_90"] is None or one["recall_0.3_interval_90"][0] <= one["recall_0.3"]
+    text = table_text(detection_table({"frames": 3, "mountings": {"mounting": result}}))
+    assert "from_west     vehicles" in text
+    groups = [
+        {"by": "approach", "name": name, "after": share, "after_interval_90": ends}
+        for name, share, ends in (("from_east", 0.56, [0.44, 0.69]), ("from_west", 0.97, None))
+    ]
+    assert approaches_text({"groups": groups}) == "detectable by approach: from_east 56 % (44 to 69), from_west 97 %"
+    assert approaches_text({}) == ""
+
+
+def test_detectors_look_where_vehicles_count_and_find_some(site):
+    low, high = watched(site)
+    for frame in (*site.search, *site.holdout):
+        xy = frame.vehicles.centre_m[frame.counted, :2]
+        assert ((xy >= low) & (xy <= high)).all()
+    mounting = site.scenario.mounting({"height_m": 5.0, "tilt_x_deg": 12.0})
+    detector = PillarsDetector("RS-16", mounting.pose, low, high)
+    judged = judge_detector(replace(site, holdout=site.holdout[:2]), mounting, detector)
+    assert sum(map(len, judged.boxes)) >= 10
+    assert recall(judged.matches[0], 0.1)[0] > 0.25

@@ -17,7 +17,7 @@ from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
 from ..run.tolerance import errors_from, installed
 from ..scene.mounting import Mounting
-from ..scene.observation import CountedFrame
+from ..scene.observation import WAY_COLUMNS, CountedFrame
 from ..scene.region import Region
 from ..scene.scenario import Scenario
 from ..scene.site import Site
@@ -28,7 +28,7 @@ from ..traffic.vehicles import Vehicles
 from .classical import ClassicalDetector
 from .files import Poses, read_detected
 from .pillars import SHIPPED, PillarsDetector
-from .scores import CRITERIA, Matches, by_distance, match, measured, paired_intervals
+from .scores import CRITERIA, Matches, by_approach, by_distance, match, measured, paired_intervals
 
 
 class Detector(Protocol):
@@ -86,10 +86,13 @@ def detector_at(site: Site, mounting: Mounting, name: str) -> Detector:
 def watched(site: Site) -> tuple[np.ndarray, np.ndarray]:
     """Where detectors of ours look: the lower and the upper corner of a rectangle, x and y [m, road frame].
 
-    It is that of the region, but across the road no farther than 8 m beside the carriageway where all vehicles that
-    count in the searched frames keep to that.
+    It is that of the region, but across a straight road no farther than 8 m beside the carriageway where all vehicles
+    that count in the searched frames keep to that.
     """
     region = site.region
+    if site.scenario.straight is None:
+        corners = np.concatenate(region.outlines)
+        return corners.min(axis=0), corners.max(axis=0)
     low, high = (np.array(region.centre_xy) + side * region.radius_m for side in (-1.0, 1.0))
     road, xy = site.scenario.road_map, [frame.vehicles.centre_m[frame.counted, :2] for frame in site.search]
     (right, left), t = road.edges_t, road.locate(np.concatenate(xy)).t_m
@@ -294,6 +297,10 @@ def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]
     farthest = max(map(farthest_m, judged.values()), default=0.0)
     for mounting, one in judged.items():
         mountings[mounting] = measured_groups(one, farthest)
+        if frames and frames[0].ways is not None:
+            approach = np.concatenate([frame.ways[WAY_COLUMNS[0]][frame.counted] for frame in frames])
+            found = by_approach(one.matches[0], approach, block, site.scenario.search.seed, recording)
+            mountings[mounting]["by_approach"] = found
         if one is not baseline:
             gain = paired_intervals(one.matches, baseline.matches, block, site.scenario.search.seed, recording)
             mountings[mounting]["over_baseline"] = gain

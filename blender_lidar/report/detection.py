@@ -62,13 +62,17 @@ def detection_table(result: Mapping) -> TextTable:
         rows.append((text, *cells))
     rows.append((f"false alarms a {unit} at 0.3", *(f"{one['false_alarms_0.3']:.2f}" for one in scores), *blank))
     sections = [("", rows)]
-    for group, title in (("by_distance", "By distance"), ("by_kind", "By kind")):
+    for group, title in (("by_distance", "By distance"), ("by_kind", "By kind"), ("by_approach", "By approach")):
         of_group = []
-        for name in scores[-1][group]:
+        for name in scores[-1].get(group, ()):
             counts = (f"{one[group][name]['vehicles']:,}" for one in scores)
             of_group.append((f"{name:<14}vehicles", *counts, *blank))
             for key, what in _TABLED.items():
-                of_group.append((f"{'':<14}{what}", *(_percent(one[group][name][key]) for one in scores), *blank))
+                if key in scores[-1][group][name]:
+                    cells = (_percent(one[group][name][key]) for one in scores)
+                    of_group.append((f"{'':<14}{what}", *cells, *blank))
+        if not of_group:
+            continue
         sections.append((title, of_group))
     return TextTable("Detection", [head], sections)
 

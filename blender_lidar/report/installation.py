@@ -15,7 +15,17 @@ from ..scene.directions import UPRIGHT_DEG, bearing_deg, pointing
 from ..scene.mounting import Mast
 from ..scene.site import Site
 from .cautions import costliest_text, crossed_text, lorries_text, next_metre_text, optimum_text, other_traffic_text
-from .summary import as_sentence, assumed_texts, conditions, judged, kept_text, region_text, warnings_text, worth
+from .summary import (
+    approaches_text,
+    as_sentence,
+    assumed_texts,
+    conditions,
+    judged,
+    kept_text,
+    region_text,
+    warnings_text,
+    worth,
+)
 
 _WIDTH = 110
 
@@ -171,7 +181,13 @@ def _expected(result):
     """What to expect, on the frames that did not choose the mounting where there are any."""
     *_, on = judged(result)
     lines = [f"Expected, on {on}"]
-    found = (worth(result), optimum_text(result), next_metre_text(result), lorries_text(result))
+    found = (
+        worth(result),
+        approaches_text(result),
+        optimum_text(result),
+        next_metre_text(result),
+        lorries_text(result),
+    )
     for text in filter(None, (*found, other_traffic_text(result))):
         lines += textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")
     return [*lines, *(f"- as {condition}" for condition in conditions(result))]

@@ -13,6 +13,7 @@ import numpy as np
 from ..metrics.catalogue import DETECTABLE, PE_VGOP, metric_named
 from ..metrics.metric import Metric
 from ..run.tolerance import tolerance_text
+from ..run.vehicle_table import APPROACH
 from ..scene.mounting import ANGLES
 from ..sensors.model import model_names
 from ..statistics import FEW_BLOCKS, FEW_VEHICLES
@@ -311,6 +312,16 @@ def measured(metric: Metric, value: float, ends: Sequence[float] | None, sign: s
         return metric.number(value, -1, sign), ""
     more = decimals_of(metric.shown(np.asarray(ends)), metric.decimals) - metric.decimals
     return metric.number(value, more, sign), span(metric, ends, more, sign)
+
+
+def approaches_text(result: Mapping) -> str:
+    """The detectable share of each approach under the mounting, in per cent with 90 % intervals; "" without any."""
+    found = []
+    for group in result.get("groups", ()):
+        if group["by"] == APPROACH:
+            share, ends = measured(DETECTABLE, group["after"], group["after_interval_90"])
+            found.append(f"{group['name']} {share} %{f' ({ends})' if ends else ''}")
+    return f"detectable by approach: {', '.join(found)}" if found else ""
 
 
 def share_texts(scores: Mapping) -> tuple[str, str]:
