@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from blender_lidar.detection.judge import detection_result, judge_detector, judged_boxes, watched
 from blender_lidar.detection.pillars import PillarsDetector
 from blender_lidar.detection.scores import recall
+from blender_lidar.detection.stored import read_dataset
 from blender_lidar.errors import InputError
 from blender_lidar.report.detection import detection_table
 from blender_lidar.report.summary import approaches_text
@@ -22,7 +24,9 @@ from blender_lidar.road.road_map import polygon_holds
 from blender_lidar.scene.scenario import scenario_of
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.toml_table import to_toml
 from blender_lidar.traffic.boxes import DetectedBoxes, kind_of
+from tests.small_scene import done
 
 pytest.importorskip("sumolib", reason="sumolib is not installed")
 
@@ -197,3 +201,21 @@ def test_detectors_look_where_vehicles_count_and_find_some(site):
     judged = judge_detector(replace(site, holdout=site.holdout[:2]), mounting, detector)
     assert sum(map(len, judged.boxes)) >= 10
     assert recall(judged.matches[0], 0.1)[0] > 0.25
+
+
+def test_a_data_set_of_a_map_judges_a_detector_without_the_map(tmp_path, capsys):
+    keep_out = [[[20.0, 0.0], [40.0, 0.0], [40.0, 4.0], [20.0, 4.0]]]
+    settings = crossing(region={"keep_out": keep_out}, deployment={"height_m": [4.0, 6.0], "tilt_x_deg": 12.0})
+    scene = tmp_path / "scene.toml"
+    scene.write_text(to_toml(settings))
+    done(capsys, "dataset", scene, "--mountings", 2, "--scans", 8, "--out", tmp_path / "set")
+    stored, found = read_dataset(tmp_path / "set"), prepare(scenario_of(settings))
+    for frame in (*found.search, *found.holdout):
+        np.testing.assert_array_equal(stored.region.holds(frame.vehicles), found.region.holds(frame.vehicles))
+    for pose, row in zip(stored.poses, range(len(stored.poses)), strict=True):
+        table = {key: float(stored.scans[key][row]) for key in ("x_m", "y_m", "height_m", "tilt_x_deg")}
+        np.testing.assert_allclose(pose.rotation, found.scenario.mounting(table).pose.rotation, atol=1e-12)
+        np.testing.assert_allclose(pose.position, found.scenario.mounting(table).pose.position, atol=1e-12)
+    out, _ = done(capsys, "detect", tmp_path / "set", "--json")
+    (of_all,) = json.loads(out)["mountings"].values()
+    assert of_all["recall_0.1"] > 0.2

@@ -64,6 +64,7 @@ def _about(site: Site, plan: DatasetPlan, layouts: tuple[str, ...]) -> dict[str,
         "sensor": site.model.name,
         "region": asdict(scenario.region),
         "road": asdict(scenario.road),
+        "outlines_m": _outlines(site),
         "range_gate_m": site.observation.lidar.max_range_m,
         "watched_m": [corner.tolist() for corner in watched(site)],
         "caster": site.observation.caster,
@@ -75,6 +76,14 @@ def _about(site: Site, plan: DatasetPlan, layouts: tuple[str, ...]) -> dict[str,
         "notes": [*site.plan.notes, *plan.notes],
         "versions": plan.versions,
     }
+
+
+def _outlines(site: Site) -> list[list[list[float]]] | None:
+    """The region on a level map as polygons, by which detectors are judged without the map; None for any other road."""
+    scenario = site.scenario
+    if scenario.straight is not None or not scenario.road_map.surface.is_flat:
+        return None
+    return [outline.tolist() for outline in site.region.outlines]
 
 
 def _summary(result: dict, folder: Path) -> str:

@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..road.straight import StraightRoad, road_map
 from ..scene.mounting import COORDINATES, MOUNTED, mounting_from
 from ..scene.observation import CountedFrame
-from ..scene.region import Region, region_of
+from ..scene.region import Region, region_of, region_within
 from ..scene.settings import RegionSettings, SensorSettings
 from ..scene.site import lattice_of
 from ..sensors.beams import BeamLattice
@@ -220,6 +220,7 @@ _ABOUT = {
     "watched_m": Setting(kind=tuple[tuple[float, float], ...]),
     "warnings": Setting(kind=list),
 }
+_OF_ROADS = "region", "road"
 _OF_SCANS = {
     **dict.fromkeys(("scan", "recording", "block", "mounting"), WHOLE),
     "frame": Column("a whole number", whole=True),
@@ -294,9 +295,16 @@ def read_dataset(folder: Path) -> StoredDataset:
     if not path.exists():
         raise InputError(f"{folder}: is an unfinished data set; give the command that began it again")
     about = read_json(path, "the dataset.json of a data set")
-    found = _declared(about, _ABOUT, str(path))
-    road = road_map(found["road"])
-    region = region_of_alarms(region_of(found["region"], road))
+    outlines, on_map = about.get("outlines_m"), "net" in (about.get("road") or {})
+    if on_map and not outlines:
+        raise InputError(f"{path}: is of a map with heights; a detector needs a level map")
+    found = _declared(about, {key: _ABOUT[key] for key in _ABOUT if not on_map or key not in _OF_ROADS}, str(path))
+    road = road_map(StraightRoad() if on_map else found["road"])  # both level, and masts say which way they face
+    if on_map:
+        region = region_within([np.array(one) for one in outlines], about["region"]["keep_out"] or ())
+    else:
+        region = region_of(found["region"], road)
+    region = region_of_alarms(region)
     scans = read_columns(folder / SCANS, _OF_SCANS, "split")
     count = len(scans["scan"])
     tables = ({key: scans[key].tolist()[row] for key in MOUNTED} for row in range(count))

@@ -92,14 +92,25 @@ class Region:
 
     def _on_lanes(self, vehicles: Vehicles) -> np.ndarray:
         """Which lie on the map's lanes that count, or in a junction, (n,) bool."""
-        xy, located = vehicles.centre_m[:, :2], self.road.locate(vehicles.centre_m, vehicles.heading_rad)
-        low, high = np.full((2, len(self.road) + 1), np.nan)  # the last is of places off the lanes
-        for row, ends in self.spans.items():
-            low[row], high[row] = ends
-        inside = (located.s_m >= low[located.lane] - _ON_EDGE_M) & (located.s_m <= high[located.lane] + _ON_EDGE_M)
+        xy, inside = vehicles.centre_m[:, :2], np.zeros(len(vehicles), dtype=bool)
+        if self.spans:
+            located = self.road.locate(vehicles.centre_m, vehicles.heading_rad)
+            low, high = np.full((2, len(self.road) + 1), np.nan)  # the last is of places off the lanes
+            for row, ends in self.spans.items():
+                low[row], high[row] = ends
+            lane, s = located.lane, located.s_m
+            inside = (s >= low[lane] - _ON_EDGE_M) & (s <= high[lane] + _ON_EDGE_M)
         for area in self.areas:
             inside |= polygon_holds(area, xy)
         return inside
+
+
+def region_within(areas: Sequence[np.ndarray], keep_out: Sequence[Sequence[Sequence[float]]] = ()) -> Region:
+    """The region of some polygons (k, 2) [m], less those that are kept out, of which no road is known."""
+    corners = np.concatenate(areas)
+    centre = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    radius = float(np.hypot(*(corners - centre).T).max())
+    return Region(tuple(centre.tolist()), radius, keep_out=keep_out, areas=areas)
 
 
 @lru_cache(maxsize=16)
