@@ -7,7 +7,8 @@ help takes to print. A test holds each list to what its room has.
 CASTERS = ("raster", "embree", "bvh", "exact")  # in the order in which "auto" tries them; the last it does not
 DETAILS = ("box", "body", "detailed")  # of vehicles, the coarsest first
 BARRIERS = ("concrete", "guard_rail")
-CLASSES = ("car", "van", "truck", "bus", "motorcycle", "bicycle", "pedestrian")  # of road users
+VEHICLE_CLASSES = ("car", "van", "truck", "bus", "motorcycle", "bicycle")
+CLASSES = (*VEHICLE_CLASSES, "pedestrian")  # of road users
 KINDS = ("car", "truck or bus", "motorcycle")  # of vehicles, which detectors tell apart; a van is a car
 TRAFFIC_FORMATS = ("auto", "ngsim", "sumo", "table", "highd", "ind", "k733", "tgsim")
 # Of what cannot be true of traffic.

@@ -36,6 +36,7 @@ from ..detection.stored import (
 )
 from ..errors import InputError, MissingExtraError, MissingFileError
 from ..files import check_folder, check_unused, make_folder, write_text
+from ..names import VEHICLE_CLASSES
 from ..report.cloud_figures import draw_detections
 from ..report.detection import detection_table, detection_text
 from ..report.summary import as_sentence, region_text, warnings_text
@@ -49,7 +50,6 @@ from ..scene.site import Site, prepare
 from ..scoring.evaluation import workplace_of
 from ..toml_table import settings_of
 from ..traffic.boxes import DetectedBoxes
-from ..traffic.vehicles import CLASSES, PEDESTRIAN
 from .options import default_folder, given_options, mounting_from, new_folder, scenario_from
 from .parsers import ScoreOptions
 from .progress import Progress
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--axes, --pose: are options for folders of recorded clouds, but {args.scene} is a scene")
     check_detector(args.detector)
     scenario = scenario_from(args)
-    check_judged(scenario)
+    check_fits_detectors(scenario)
     mounting = mounting_from(args, scenario)
     folder = _folder(args, lambda: default_folder(scenario, "detection"))
     result = judge_at(prepare(scenario, [mounting]), mounting, args.detector, folder)
@@ -101,12 +101,12 @@ def check_detector(detector: str) -> None:
         raise MissingFileError(f"--detector: {detector}: there is no such file; allowed: {', '.join(DETECTORS)}, FILE")
 
 
-def check_judged(scenario: Scenario) -> None:
+def check_fits_detectors(scenario: Scenario) -> None:
     """Refuse what detectors do not find: vehicles off one plane of ground near z = 0, and pedestrians."""
-    if CLASSES[PEDESTRIAN] in (scenario.objective.classes or ()):
+    if "pedestrian" in scenario.objective.scored_classes:
         raise InputError(
             f"{scenario.where('objective', 'classes')}: pedestrian: the detectors find vehicles alone; allowed with a "
-            f"detector: {', '.join(CLASSES[:PEDESTRIAN])}"
+            f"detector: {', '.join(VEHICLE_CLASSES)}"
         )
     if scenario.straight is None and not scenario.road_map.surface.is_flat:
         raise InputError(f"{scenario.source}: [road] opendrive has heights; a detector needs a level map")

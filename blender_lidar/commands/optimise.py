@@ -66,10 +66,10 @@ def report(args: argparse.Namespace, site: Site, run: RunFolder) -> int:
 
 def _check_detector(args: argparse.Namespace, scenario: Scenario) -> None:
     if args.detector is not None:
-        from .detect import check_detector, check_judged
+        from .detect import check_detector, check_fits_detectors
 
         check_detector(args.detector)
-        check_judged(scenario)
+        check_fits_detectors(scenario)
 
 
 # --- The verbs --------------------------------------------------------------------------------------------

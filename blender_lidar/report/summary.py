@@ -17,7 +17,7 @@ from ..run.vehicle_table import APPROACH
 from ..scene.mounting import ANGLES
 from ..sensors.model import model_names
 from ..statistics import FEW_BLOCKS, FEW_VEHICLES
-from ..traffic.vehicles import CLASSES, PEDESTRIAN, counted
+from ..traffic.vehicles import counted
 
 _TOLD_BELOW = 0.005
 LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
@@ -452,7 +452,7 @@ def worth(result: Mapping) -> str:
     number, around = _unsigned(DETECTABLE, share, found["detectable_share_gain_interval_90"])
     points = f"{number} percentage points {'more' if share > 0.0 else 'fewer'}{around}"
     points = points if share else f"no difference{around}"
-    walking = CLASSES[PEDESTRIAN] in (result.get("identity", {}).get("[objective] classes") or ())
+    walking = "pedestrian" in (result.get("identity", {}).get("[objective] classes") or ())
     text = f"{after} % of the {'road users' if walking else 'vehicles'} are detectable{within} "
     text += f"instead of {before} %{base_within} under the baseline, {points}"
     if not metric.of_share or _is_weighted(result):

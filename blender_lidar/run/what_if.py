@@ -19,7 +19,7 @@ from ..scoring.evaluation import Evaluator
 from ..scoring.fidelity import evenly_spread
 from ..statistics import share_interval_90
 from ..traffic.fleet import BUS, CAR, TRUCK, VAN, Gaps, queued, turned_into
-from ..traffic.vehicles import CLASSES, PEDESTRIAN, Vehicles
+from ..traffic.vehicles import PEDESTRIAN, Vehicles
 from .vehicle_table import BoxShares, lanes, vehicle_table, vehicle_tables
 from .verdict import BASELINE_NAME, judge
 
@@ -122,7 +122,7 @@ def rush_hour(site: Site, seed: int = 0) -> Site:
 def pedestrians_hide(site: Site) -> bool:
     """Whether there are pedestrians who are not scored, and so only hide vehicles."""
     there = any((frame.vehicles.class_index == PEDESTRIAN).any() for frame in site.search)
-    return there and CLASSES[PEDESTRIAN] not in (site.scenario.objective.classes or ())
+    return there and "pedestrian" not in site.scenario.objective.scored_classes
 
 
 def without_pedestrians(site: Site) -> Site:

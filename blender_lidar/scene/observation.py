@@ -14,7 +14,7 @@ from ..metrics.metric import Field, FrameBoxes
 from ..road.road_map import polygon_holds
 from ..sensors.beams import BeamLattice
 from ..sensors.lidar import Lidar
-from ..traffic.vehicles import CLASSES, PEDESTRIAN, Vehicles
+from ..traffic.vehicles import CLASSES, Vehicles
 from .settings import ObjectiveSettings
 
 
@@ -135,8 +135,7 @@ def vehicle_weights(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndar
 
 def of_scored_class(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray:
     """Which vehicles are of a class that [objective] scores, (n,) bool."""
-    classes = CLASSES[:PEDESTRIAN] if objective.classes is None else objective.classes
-    return np.isin(vehicles.class_index, [CLASSES.index(name) for name in classes])
+    return np.isin(vehicles.class_index, [CLASSES.index(name) for name in objective.scored_classes])
 
 
 def first_zone(objective: ObjectiveSettings, xy: np.ndarray) -> np.ndarray:

@@ -22,7 +22,6 @@ from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
 from ..traffic.presets import meta_files
-from ..traffic.vehicles import CLASSES, PEDESTRIAN
 from .deployment import Deployment
 from .mounting import MOUNTED, Mounting, mounting_from
 from .places import baseline_from, deployment_from
@@ -470,7 +469,7 @@ def _model_named(table: TomlTable, key: str, name: str) -> tuple[str, LidarModel
 def _objective(table: TomlTable) -> ObjectiveSettings:
     objective = table.read_as(ObjectiveSettings)
     metric_named(objective.metric, table.where("metric"))
-    scored = CLASSES[:PEDESTRIAN] if objective.classes is None else objective.classes
+    scored = objective.scored_classes
     for name in objective.class_weights:
         if name not in scored:
             raise InputError(

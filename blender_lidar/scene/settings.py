@@ -29,6 +29,7 @@ from ..names import (
     SENSOR_SUFFIXES,
     STATED_RANGE_LIMITS_M,
     TRAFFIC_FORMATS,
+    VEHICLE_CLASSES,
     VIEWS,
     WARNINGS,
 )
@@ -332,6 +333,11 @@ class ObjectiveSettings:
     classes: tuple[str, ...] | None = setting(None, allowed=CLASSES)
     class_weights: Mapping[str, float] = setting(allowed=CLASSES, low=0.0, high=_LARGEST_WEIGHT)
     zones: tuple[ZoneSettings, ...] = setting(())
+
+    @property
+    def scored_classes(self) -> tuple[str, ...]:
+        """The classes that are scored."""
+        return VEHICLE_CLASSES if self.classes is None else self.classes
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recor
 from ..traffic.fleet import with_variety
 from ..traffic.frames import few_vehicles
 from ..traffic.movements import lane_names, ways_by_map, ways_by_track
-from ..traffic.vehicles import CLASSES, PEDESTRIAN, unknown_frame
+from ..traffic.vehicles import CLASSES, unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.needs_blender import blender_room
 from ..world.scenery import Scenery, along_road, barrier, box, boxes_reach, join, road_surface
@@ -390,7 +390,7 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
     settings, world = scenario.traffic, scenario.world
     recording = read_settings(settings, scenario.road)
     recording = with_variety(recording, world.variety, world.variety_seed, number)
-    if not world.pedestrians and CLASSES[PEDESTRIAN] not in (scenario.objective.classes or ()):
+    if not world.pedestrians and "pedestrian" not in scenario.objective.scored_classes:
         recording = recording.vehicles_alone
     if settings.lanes is not None:
         in_lanes = np.isin(recording.lane, settings.lanes)
