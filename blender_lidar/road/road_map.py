@@ -400,11 +400,7 @@ class RoadMap:
 
     def _near(self, pieces: _Segments, xy: np.ndarray) -> _Near:
         """Of each lane the segment that is nearest to each place (n, 2): one that holds it before the others."""
-        off = xy[:, None] - pieces.start  # (n, m, 2)
-        s = (off * pieces.along).sum(axis=-1)
-        t = pieces.along[:, 0] * off[..., 1] - pieces.along[:, 1] * off[..., 0]
-        held = s.clip(pieces.low, pieces.high)
-        beyond = s - held
+        held, t, beyond = _offsets(pieces, xy)
         away = np.hypot(t, beyond)
         share = (held / pieces.length).clip(0.0, 1.0)
         half = pieces.half[:, 0] + share * (pieces.half[:, 1] - pieces.half[:, 0])
@@ -452,6 +448,14 @@ def _segments(road: RoadMap) -> _Segments:
     return _Segments(start, along, length, low, high, half, station, direction, row, opens, closes)
 
 
+def _offsets(pieces: _Segments, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How places (n, 2) lie on each segment: how far along it, to its left, and beyond its ends, (n, m) each [m]."""
+    off = xy[:, None] - pieces.start  # (n, m, 2)
+    s = (off * pieces.along).sum(axis=-1)
+    held = s.clip(pieces.low, pieces.high)
+    return held, pieces.along[:, 0] * off[..., 1] - pieces.along[:, 1] * off[..., 0], s - held
+
+
 def _together(pieces: _Segments, xy: np.ndarray) -> Iterator[tuple[np.ndarray | slice, _Segments]]:
     """Rows of places (n, 2) that are looked at together, with the segments that may hold them or be the nearest."""
     if len(xy) * len(pieces.row) <= _MOST_PAIRS:
@@ -460,10 +464,8 @@ def _together(pieces: _Segments, xy: np.ndarray) -> Iterator[tuple[np.ndarray | 
     cells, of = np.unique(np.floor(xy / _CELL_M), axis=0, return_inverse=True)
     order, reach = np.argsort(of.reshape(-1), kind="stable"), math.sqrt(0.5) * _CELL_M + _ON_EDGE_M
     for cell, rows in zip(cells, np.split(order, np.cumsum(np.bincount(of.reshape(-1)))[:-1]), strict=True):
-        off = (cell + 0.5) * _CELL_M - pieces.start
-        s = (off * pieces.along).sum(axis=1)
-        t = pieces.along[:, 0] * off[:, 1] - pieces.along[:, 1] * off[:, 0]
-        away = np.hypot(t, s - s.clip(pieces.low, pieces.high))
+        _, t, beyond = _offsets(pieces, (cell[None] + 0.5) * _CELL_M)
+        away = np.hypot(t, beyond)[0]
         near = away <= np.maximum(away.min() + 2.0 * reach, pieces.half.max(axis=1) + reach)
         some = _Segments(*(column[near] for column in pieces))
         for part in np.array_split(rows, math.ceil(len(rows) * len(some.row) / _MOST_PAIRS)):

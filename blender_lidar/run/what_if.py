@@ -19,7 +19,7 @@ from ..scoring.evaluation import Evaluator
 from ..scoring.fidelity import evenly_spread
 from ..statistics import share_interval_90
 from ..traffic.fleet import BUS, CAR, TRUCK, VAN, Gaps, queued, turned_into
-from ..traffic.vehicles import PEDESTRIAN, Vehicles
+from ..traffic.vehicles import Vehicles
 from .vehicle_table import BoxShares, lanes, vehicle_table, vehicle_tables
 from .verdict import BASELINE_NAME, judge
 
@@ -117,17 +117,6 @@ _ON_LANES = 0.5  # of the vehicles that count, for the road map's lanes to be th
 def rush_hour(site: Site, seed: int = 0) -> Site:
     """The site with half the gaps between vehicles, at the same speed; nothing is drawn."""
     return with_traffic(site, lambda vehicles: vehicles, lambda gaps: _RUSH * gaps, site.reach_m)
-
-
-def pedestrians_hide(site: Site) -> bool:
-    """Whether there are pedestrians who are not scored, and so only hide vehicles."""
-    there = any((frame.vehicles.class_index == PEDESTRIAN).any() for frame in site.search)
-    return there and "pedestrian" not in site.scenario.objective.scored_classes
-
-
-def without_pedestrians(site: Site) -> Site:
-    """The site without pedestrians; nothing is drawn."""
-    return with_traffic(site, lambda vehicles: vehicles.select(vehicles.class_index != PEDESTRIAN))
 
 
 class Mix(NamedTuple):

@@ -17,11 +17,11 @@ from ..casting.protocol import StandingScenery
 from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
-from ..run.what_if import mixes, pedestrians_hide, with_traffic, without_pedestrians
+from ..run.what_if import mixes, with_traffic
 from ..scene.site import Site, lattice_of, standing_scenery
 from ..scoring.fidelity import Fidelity, coarse_observation
 from ..sensors.beams import beam_lattice
-from ..traffic.vehicles import Vehicles
+from ..traffic.vehicles import PEDESTRIAN, Vehicles
 from ..world.scenery import along_road, barrier, join
 from ..world.shapes import DETAILS
 from .driver import Variation
@@ -33,15 +33,16 @@ SECTIONS = (TRAFFIC, MOUNTING, METRIC, SENSOR, SEARCH)
 
 
 def traffic_variations(site: Site, draws: int) -> list[Variation]:
-    """Lorries by lane, light traffic, rush hour and a queue, of `what_if.mixes`, what is drawn `draws` times; and no
-    pedestrians where some hide vehicles, a level road where the map has heights.
+    """Lorries by lane, light traffic, rush hour and a queue, of `what_if.mixes`, what is drawn `draws` times.
+
+    And no pedestrians where some hide vehicles, a level road where the map has heights.
     """
     found = [
         Variation(TRAFFIC, mix.what, mix.value, partial(mix.change, seed=number), number)
         for mix in mixes(site, site.scenario.deployment.nominal_xy)
         for number in (range(1, draws + 1) if mix.is_drawn else (0,))
     ]
-    if pedestrians_hide(site):
+    if _pedestrians_hide(site):
         found.append(Variation(TRAFFIC, "pedestrians", "left out", without_pedestrians))
     if _has_heights(site):
         found.append(Variation(TRAFFIC, "heights", "level road", levelled))
@@ -212,9 +213,20 @@ def _median_barrier(site: Site, own: Variation) -> list[Ablation]:
     return [Ablation("median barrier", barrier_at, ((own, with_barrier),))]
 
 
+def _pedestrians_hide(site: Site) -> bool:
+    """Whether there are pedestrians who are not scored, and so only hide vehicles."""
+    there = any((frame.vehicles.class_index == PEDESTRIAN).any() for frame in site.search)
+    return there and "pedestrian" not in site.scenario.objective.scored_classes
+
+
+def without_pedestrians(site: Site) -> Site:
+    """The site without pedestrians."""
+    return with_traffic(site, lambda vehicles: vehicles.select(vehicles.class_index != PEDESTRIAN))
+
+
 def _pedestrians(site: Site, own: Variation) -> list[Ablation]:
     """Pedestrians who only hide vehicles, if there are any."""
-    if not pedestrians_hide(site):
+    if not _pedestrians_hide(site):
         return []
     none = Variation(ABLATION, "pedestrians", "left out", without_pedestrians)
     return [Ablation("pedestrians", "who hide vehicles", ((none, own),))]

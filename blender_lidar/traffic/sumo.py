@@ -250,7 +250,7 @@ def _in_vehicles(columns: dict[str, np.ndarray]) -> np.ndarray:
     person = columns["id"] < 0
     if not person.any():
         return person
-    places = np.column_stack([columns["time"], columns["x"], columns["y"]]).view("V24")[:, 0]
+    places = np.column_stack([columns["time"], columns["x"], columns["y"]]).view("V24")[:, 0]  # three floats as one
     return person & np.isin(places, places[~person])
 
 

@@ -268,7 +268,7 @@ def _columns(table: str | Path | Mapping) -> tuple[dict[str, np.ndarray], int, l
         if kind is not None and (kind < 0).any():
             row = int(kind.argmin())
             raise unknown_name(rows.columns["class"][row], CLASSES, "class", rows.where(row))
-        _check_sides(rows, part, kind)
+        _check_sizes(rows, part, kind)
         part |= {"vehicle_id": vehicle_ids(rows, "vehicle_id", ids)} | ({} if kind is None else {"class": kind})
         parts.append(part)
     if not any(len(part["x_m"]) for part in parts):
@@ -282,7 +282,7 @@ def _columns(table: str | Path | Mapping) -> tuple[dict[str, np.ndarray], int, l
     return columns | {"vehicle_id": vehicle[columns["vehicle_id"]]}, left_out, notes
 
 
-def _check_sides(rows: Rows, part: dict[str, np.ndarray], kind: np.ndarray | None) -> None:
+def _check_sizes(rows: Rows, part: dict[str, np.ndarray], kind: np.ndarray | None) -> None:
     """Refuse a size that is none; bicycles and pedestrians may have none at all."""
     may_lack = np.zeros(len(rows), dtype=bool) if kind is None else np.isin(kind, _MAY_LACK_SIZE)
     for name in _LENGTHS:
@@ -294,8 +294,6 @@ def _check_sides(rows: Rows, part: dict[str, np.ndarray], kind: np.ndarray | Non
 
 
 _MAY_LACK_SIZE = CLASSES.index("bicycle"), PEDESTRIAN
-
-
 _ON_NO_ROAD = -2
 _ALSO = {"truck_bus": "truck", "large-vehicle": "truck", "small-vehicle": "passenger"}  # in inD, in TGSIM
 

@@ -43,7 +43,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.files import check_place, make_folder, read_file, whole_file, write_text
 from blender_lidar.road.road_map import wrap_angle
 from blender_lidar.scene.deployment import MOUNTING
-from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.scenario import Scenario, load_scenario
 from blender_lidar.scene.settings import Tolerance
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
@@ -187,21 +187,27 @@ def site_windows(
     }
     for name in () if crossed else _BY_SITE:
         settings["world" if name == "clutter" else "road", name] = float(rng.uniform(*_DRAWN[name]))
-    gate_m = load_scenario(SCENES / "i80.toml", {("sensor", "name"): (sensor, "name")}).sensor.range_gate_m
-    settings["sensor", "range_gate_m"] = gate_m  # that of the sensor, wherever it hangs
     options = {place: (value, place[1]) for place, value in settings.items()}
-    scene, world = ("crossing.toml", crossing_world()) if crossed else ("i80.toml", hard_world())
-    scenario = load_scenario(SCENES / scene, {**world, **options})
     if crossed:
-        poles = [place.pole.name for place in scenario.deployment.places]
-        scenario = at_one_place(scenario, poles[number // CROSSINGS % len(poles)])
-        tolerance = Tolerance(**hard_world()["objective", "tolerance"][0])
-        scenario = replace(scenario, objective=replace(scenario.objective, tolerance=tolerance))
-    site = prepare(scenario)
+        site = prepare(_at_crossing(number // CROSSINGS, options))
+    else:
+        site = prepare(load_scenario(SCENES / "i80.toml", {**hard_world(), **options}))
     plan = plan_dataset(site, MOUNTINGS, scans, seed=number + 1)
     for one in samples(plan):
         if one.scan.split == TRAIN:
             yield window_of(one, site.observation.lidar.max_range_m, rng, crossed)
+
+
+def _at_crossing(number: int, options: Options) -> Scenario:
+    """The scene of one of the poles of the shipped intersection, with the hard world's errors of installation."""
+    name = ("sensor", "name")
+    gate_m = load_scenario(SCENES / "i80.toml", {name: options[name]}).sensor.range_gate_m  # that of the sensor
+    options = {**crossing_world(), **options, ("sensor", "range_gate_m"): (gate_m, "range_gate_m")}
+    scenario = load_scenario(SCENES / "crossing.toml", options)
+    poles = [place.pole.name for place in scenario.deployment.places]
+    scenario = at_one_place(scenario, poles[number % len(poles)])
+    tolerance = Tolerance(**hard_world()["objective", "tolerance"][0])
+    return replace(scenario, objective=replace(scenario.objective, tolerance=tolerance))
 
 
 def window_of(sample: Sample, gate_m: float, rng: np.random.Generator, crossed: bool = False) -> Window:
