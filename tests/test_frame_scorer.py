@@ -74,40 +74,45 @@ def everyone(vehicles):
     return np.ones(len(vehicles), dtype=bool)
 
 
-def slow_pipeline(vehicles, counted, seen, pose):
-    """Points and occupancies of the counted vehicles: all beams cast, every draw and point looked at by itself."""
-    lattice, effects, triangles = seen.lattice, seen.lidar.imperfections, vehicle_triangles(vehicles, seen.detail)
-    rays = pose.to_world(lattice.directions.reshape(-1, 3))
-    hits = caster_class("exact")(triangles.corners).cast(pose.position, rays)
-    draws = effects.measurement(lattice, vehicles.frame)
-    points = [0] * len(vehicles)
+def slow_pipeline(vehicles, counted, seen, *poses):
+    """Points by LiDAR and occupancies of the counted vehicles: every beam cast, every draw and point looked at alone.
+
+    Of several LiDARs the occupancies are those of the union of their cells.
+    """
+    triangles = vehicle_triangles(vehicles, seen.detail)
+    points = np.zeros((len(poses), len(vehicles)), dtype=int)
     cells: list[tuple[set, set, set]] = [(set(), set(), set()) for _ in range(len(vehicles))]
-    for beam in np.flatnonzero(hits.triangle >= 0):
-        owner = int(triangles.owner[hits.triangle[beam]])
-        distance = hits.distance[beam] + (float(draws.noise_m[beam]) if len(draws.noise_m) else 0.0)
-        glass = effects.glass_dropout if triangles.surface[hits.triangle[beam]] == GLASS else 0.0
-        loss = 1.0 - (1.0 - effects.dropout) * (1.0 - glass)
-        lost = loss == 1.0 or (len(draws.chance) and draws.chance[beam] < np.float32(loss))
-        if lost or not seen.lidar.min_range_m <= distance <= seen.lidar.max_range_m:
-            continue
-        points[owner] += 1
-        away = pose.position + distance * rays[beam] - vehicles.centre_m[owner]
-        heading, size = vehicles.heading_rad[owner], vehicles.size_m[owner]
-        forward = away[0] * math.cos(heading) + away[1] * math.sin(heading)
-        left = -away[0] * math.sin(heading) + away[1] * math.cos(heading)
-        place = [(along + 0.5 * side) / seen.cell_m for along, side in zip((forward, left, away[2]), size, strict=True)]
-        count = [math.ceil(side / seen.cell_m - 1e-9) for side in size]
-        if any(at < -1.0 or at >= number + 1.0 for at, number in zip(place, count, strict=True)):
-            continue  # noise has carried it away from its vehicle
-        cell = [min(max(math.floor(at), 0), number - 1) for at, number in zip(place, count, strict=True)]
-        for view, (a, b) in zip(cells[owner], ((0, 1), (0, 2), (1, 2)), strict=True):
-            view.add((cell[a], cell[b]))
+    for number, (lidar, pose) in enumerate(zip(seen.lidars, poses, strict=True)):
+        lattice, effects = lidar.lattice, lidar.imperfections
+        rays = pose.to_world(lattice.directions.reshape(-1, 3))
+        hits = caster_class("exact")(triangles.corners).cast(pose.position, rays)
+        draws = lidar.measurement(vehicles.frame)
+        for beam in np.flatnonzero(hits.triangle >= 0):
+            owner = int(triangles.owner[hits.triangle[beam]])
+            distance = hits.distance[beam] + (float(draws.noise_m[beam]) if len(draws.noise_m) else 0.0)
+            glass = effects.glass_dropout if triangles.surface[hits.triangle[beam]] == GLASS else 0.0
+            loss = 1.0 - (1.0 - effects.dropout) * (1.0 - glass)
+            lost = loss == 1.0 or (len(draws.chance) and draws.chance[beam] < np.float32(loss))
+            if lost or not lidar.min_range_m <= distance <= lidar.max_range_m:
+                continue
+            points[number, owner] += 1
+            away = pose.position + distance * rays[beam] - vehicles.centre_m[owner]
+            heading, size = vehicles.heading_rad[owner], vehicles.size_m[owner]
+            forward = away[0] * math.cos(heading) + away[1] * math.sin(heading)
+            left = -away[0] * math.sin(heading) + away[1] * math.cos(heading)
+            place = [(at + 0.5 * side) / seen.cell_m for at, side in zip((forward, left, away[2]), size, strict=True)]
+            count = [math.ceil(side / seen.cell_m - 1e-9) for side in size]
+            if any(at < -1.0 or at >= cells_ + 1.0 for at, cells_ in zip(place, count, strict=True)):
+                continue  # noise has carried it away from its vehicle
+            cell = [min(max(math.floor(at), 0), cells_ - 1) for at, cells_ in zip(place, count, strict=True)]
+            for view, (a, b) in zip(cells[owner], ((0, 1), (0, 2), (1, 2)), strict=True):
+                view.add((cell[a], cell[b]))
     whole = [[math.ceil(side / seen.cell_m - 1e-9) for side in size] for size in vehicles.size_m]
     shares = [
         [len(view) / (n[a] * n[b]) for view, (a, b) in zip(views, ((0, 1), (0, 2), (1, 2)), strict=True)]
         for views, n in zip(cells, whole, strict=True)
     ]
-    return np.array(points)[counted], np.array(shares).reshape(-1, 3)[counted]
+    return points[:, counted], np.array(shares).reshape(-1, 3)[counted]
 
 
 @settings(max_examples=10)
@@ -129,7 +134,7 @@ def test_points_and_occupancies_equal_those_of_the_slow_pipeline(seed, sensor, d
     pose = Pose(0.0, 0.0, height, *angles)
     found = FrameScorer(vehicles, counted, seen).see(singles([pose]))
     points, shares = slow_pipeline(vehicles, counted, seen, pose)
-    np.testing.assert_array_equal(found.points[0], points)
+    np.testing.assert_array_equal(found.by_lidar[0], points)
     np.testing.assert_allclose(found.occupancy[0], shares, rtol=1e-12, atol=0.0)
 
 
@@ -377,3 +382,69 @@ def test_lidars_with_one_seed_and_other_names_draw_apart_and_of_their_own():
         both = FrameScorer(TRAFFIC, everyone(TRAFFIC), replace(observation(), lidars=(neighbour, lidars[1])))
         far = Pose(height_m=900.0)  # which sees nothing
         np.testing.assert_array_equal(both.see([(far, POSE)]).points, alone.see([(POSE,)]).points)
+
+
+# --- Layouts of several LiDARs ----------------------------------------------------------------------------------------
+
+CORNERS = (Pose(-9.0, -4.0, 4.0, 0.2, 0.0, -0.6), Pose(8.0, 30.0, 5.0, -0.3, 0.05, 0.4), Pose(0.0, -2.0, 3.0, 0.1))
+NAMED = {"north": LATTICES["RS-16"], "south": LATTICES["RS-LiDAR-32"], "east": LATTICES["RS-BPearl"]}
+
+
+def layout_of(effects=PERFECT, names=("north", "south", "east"), **more):
+    """What LiDARs of these names see with, each of another model."""
+    lidars = (observation(NAMED[name], gate=30.0, imperfections=effects, **more) for name in names)
+    seen = together(*lidars)
+    return replace(
+        seen, lidars=tuple(replace(lidar, name=name) for lidar, name in zip(seen.lidars, names, strict=True))
+    )
+
+
+@settings(max_examples=8)
+@given(seed=st.integers(0, 2**32 - 1), effects=st.sampled_from([PERFECT, ROUGH]), lidars=st.integers(2, 3))
+def test_several_lidars_occupy_the_union_of_the_cells_of_the_slow_pipeline(seed, effects, lidars):
+    vehicles, counted = dense_traffic(seed=seed, vehicles=8, length_m=30.0), np.random.default_rng(seed).random(8) < 0.7
+    seen, poses = layout_of(effects, tuple(NAMED)[:lidars]), CORNERS[:lidars]
+    found = FrameScorer(vehicles, counted, seen).see([poses])
+    points, shares = slow_pipeline(vehicles, counted, seen, *poses)
+    np.testing.assert_array_equal(found.by_lidar[0], points)
+    np.testing.assert_allclose(found.occupancy[0], shares, rtol=1e-12, atol=0.0)
+
+
+def test_a_lidar_that_is_held_is_cast_once_and_seen_as_if_cast_with_every_layout():
+    vehicles, seen = dense_traffic(vehicles=30, length_m=80.0), layout_of(ROUGH)
+    moved = [replace(CORNERS[1], height_m=height) for height in (2.0, 3.0, 4.0, 6.0)]
+    batches = [[(CORNERS[0], pose, CORNERS[2]) for pose in moved], [(pose, CORNERS[1], None) for pose in moved]]
+    batches += [[(moved[0], pose, other) for pose, other in zip(moved, reversed(moved), strict=True)], batches[0]]
+    scorer = FrameScorer(vehicles, everyone(vehicles), seen)
+    for batch in batches:
+        together_seen = scorer.see(batch)
+        for row, layout in enumerate(batch):
+            alone = FrameScorer(vehicles, everyone(vehicles), seen).see([layout])
+            np.testing.assert_array_equal(together_seen.by_lidar[row], alone.by_lidar[0])
+            np.testing.assert_array_equal(together_seen.occupancy[row], alone.occupancy[0])
+
+
+def test_a_layout_without_some_of_its_lidars_sees_what_the_others_see_without_them():
+    vehicles, seen = dense_traffic(vehicles=30, length_m=80.0), layout_of(ROUGH)
+    scorer = FrameScorer(vehicles, everyone(vehicles), seen)
+    north, south, east = CORNERS
+    batch = [(north, None, None), (None, south, None), (north, None, east), (None, None, None), (north, south, east)]
+    found = scorer.see(batch)
+    for row, names in enumerate((["north"], ["south"], ["north", "east"])):
+        hung = [pose for pose in batch[row] if pose is not None]
+        alone = FrameScorer(vehicles, everyone(vehicles), layout_of(ROUGH, names)).see([hung])
+        np.testing.assert_array_equal(found.points[row], alone.points[0])
+        np.testing.assert_array_equal(found.occupancy[row], alone.occupancy[0])
+    assert not found.points[3].any()
+    assert not found.occupancy[3].any()
+    np.testing.assert_array_equal(found.by_lidar[4].sum(axis=0), found.points[4])
+    np.testing.assert_array_equal(found.by_lidar[4, 0], found.points[0])  # its noise knows no neighbour
+
+
+def test_the_order_of_the_lidars_changes_nothing():
+    vehicles = dense_traffic(vehicles=30, length_m=80.0)
+    one = FrameScorer(vehicles, everyone(vehicles), layout_of(ROUGH)).see([CORNERS])
+    turned = layout_of(ROUGH, ("east", "north", "south"))
+    other = FrameScorer(vehicles, everyone(vehicles), turned).see([(CORNERS[2], CORNERS[0], CORNERS[1])])
+    np.testing.assert_array_equal(one.occupancy, other.occupancy)
+    np.testing.assert_array_equal(one.by_lidar[0], other.by_lidar[0][[1, 2, 0]])

@@ -10,12 +10,13 @@ from ..files import write_text
 from ..metrics.catalogue import metric_named
 from ..report.installation import installation_text
 from ..report.page import write_report
-from ..run.folder import INSTALLATION, RunFolder
+from ..report.summary import each_lidar
+from ..run.folder import INSTALLATION, RunFolder, of_lidar
 from ..run.optimise import ended_search, evaluate_site, optimise_site
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
-from .options import default_folder, mounting_from, scenario_from
+from .options import default_folder, layout_from, scenario_from
 from .progress import RunProgress
 from .report import describe_site, files, note, outcome_text, say, say_result, say_stopped
 
@@ -41,7 +42,8 @@ def write_pages(site: Site, run: RunFolder, tell: Callable[[str], object]) -> li
     Returns the names of the charts.
     """
     charts = []
-    write_text(run.file(INSTALLATION), installation_text(site, run.result))
+    for one, (name, result) in zip(site.each, each_lidar(run.result).items(), strict=True):
+        write_text(run.file(of_lidar(INSTALLATION, name)), installation_text(one, result))
     try:
         from ..report.run_figures import draw_charts
 
@@ -58,8 +60,9 @@ def report(args: argparse.Namespace, site: Site, run: RunFolder) -> int:
     if args.detector is not None:
         from .detect import detection_summary, judge_at
 
-        mounting = site.scenario.mounting(run.result["deployment"])
-        found = "\n\n" + detection_summary(judge_at(site, mounting, args.detector, run.path))
+        rows = zip(site.scenario.each, run.result["lidars"], strict=True)
+        layout = tuple(one.mounting(row["deployment"]) for one, row in rows)
+        found = "\n\n" + detection_summary(judge_at(site, layout, args.detector, run.path))
     charts = write_pages(site, run, note)
     return say_result(args, outcome_text(run, files(run, charts)) + found, run.result)
 
@@ -72,6 +75,15 @@ def _check_detector(args: argparse.Namespace, scenario: Scenario) -> None:
         check_fits_detectors(scenario)
 
 
+def check_searched(scenario: Scenario, where: str, instead: str = "") -> None:
+    """Refuse a search where nothing is searched."""
+    if scenario.further_lidars and not all(lidar.is_held for lidar in scenario.lidars):
+        return
+    if scenario.further_lidars or not all(place.bounds for place in scenario.deployment.places):
+        table = "every [[lidar]]" if scenario.further_lidars else "[deployment]"
+        raise InputError(f"{where}{table} fixes every coordinate; give at least one a pair [low, high]{instead}")
+
+
 # --- The verbs --------------------------------------------------------------------------------------------
 
 
@@ -80,10 +92,7 @@ def run_optimise(args: argparse.Namespace) -> int:
     check_resume(args)
     scenario = scenario_from(args)
     _check_detector(args, scenario)
-    if not all(place.bounds for place in scenario.deployment.places):
-        raise InputError(
-            f"{args.scene}: [deployment] fixes every coordinate; give at least one a pair [low, high], or use evaluate"
-        )
+    check_searched(scenario, f"{args.scene}: ", ", or use evaluate")
     folder = folder_from(args, scenario)
     site = prepare(scenario)
     with folder.begun(resume=args.resume):
@@ -92,7 +101,8 @@ def run_optimise(args: argparse.Namespace) -> int:
         try:
             if done is None:
                 variables, metric = scenario.deployment.spaces[0].variables, metric_named(scenario.objective.metric)
-                with stops_recognised(), RunProgress(variables, metric) as listener:
+                lines = 1 if scenario.further_lidars else 10  # a layout has many searches
+                with stops_recognised(), RunProgress(variables, metric, lines) as listener:
                     optimise_site(site, folder, listener, resume=args.resume)
             return report(args, site, folder)
         except KeyboardInterrupt:
@@ -103,11 +113,11 @@ def run_evaluate(args: argparse.Namespace) -> int:
     """Score one mounting; returns the exit code."""
     scenario = scenario_from(args)
     _check_detector(args, scenario)
-    mounting = mounting_from(args, scenario)
+    layout = layout_from(args, scenario)
     folder = folder_from(args, scenario)
-    site = prepare(scenario, [mounting])
+    site = prepare(scenario, layout)
     with folder.begun():
         say(args, describe_site(site, searched=False) + "\n")
         poles = {pole.name: pole for pole in scenario.deployment.poles}
-        evaluate_site(site, folder, mounting, poles.get(args.pole))
+        evaluate_site(site, folder, layout, poles.get(args.pole))
         return report(args, site, folder)

@@ -12,10 +12,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
-from ..errors import InputError, MissingExtraError
+from ..errors import InputError, MissingExtraError, unknown_name
 from ..plugins import IN_A_FILE
 from ..scene.deployment import MOUNTING_OR_LEAN
-from ..scene.mounting import Mounting
+from ..scene.mounting import Layout, Mounting
 from ..scene.settings import DECLARED
 from ..toml_table import Setting, checked, limits_text, settings_of
 
@@ -28,7 +28,7 @@ _SETTINGS = {
     declared.option: (table, key, declared)
     for table, settings in DECLARED.items()
     for key, declared in settings.items()
-    if declared.option and table not in ("deployment", "baseline")
+    if declared.option and table not in ("deployment", "baseline", "lidar")
 }
 SEARCH_OPTIONS = ("--search", "--fidelity", "--particles", "--iterations", "--seeds")
 _FOR_SEARCHES = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--tolerance", "--reading", "--workers")
@@ -156,6 +156,11 @@ def add_pose(parser: argparse.ArgumentParser, *, on_poles: bool = True) -> None:
         group.add_argument("--pole", metavar="NAME", help=said)
     for key, declared in MOUNTING_OR_LEAN.items():
         add_option(group, replace(declared, metavar=key.rsplit("_", 1)[1].upper()), key)
+    said = "of a scene with several LiDARs, where one hangs: its name and coordinates, north,height_m=4.1,pole=NE; "
+    said += "what is not given is as its table fixes it, else its baseline's; may be repeated"
+    group.add_argument("--lidar", action="append", metavar="NAME,...", help=said)
+    said = "folder of a run whose mountings are taken, in place of coordinates"
+    group.add_argument("--run", dest="of_run", action=Once, metavar="DIR", help=said)
 
 
 def scenario_from(args: argparse.Namespace) -> Scenario:
@@ -196,6 +201,76 @@ def mounting_from(args: argparse.Namespace, scenario: Scenario) -> Mounting:
     return scenario.mounting(given)
 
 
+def layout_from(args: argparse.Namespace, scenario: Scenario) -> Layout:
+    """The mountings that the options name, one for each LiDAR of the scene."""
+    single = [MOUNTING_OR_LEAN[key].option for key in given_options(args, MOUNTING_OR_LEAN)]
+    single += ["--pole"] if getattr(args, "pole", None) is not None else []
+    named, folder = getattr(args, "lidar", None), getattr(args, "of_run", None)
+    if folder is not None:
+        if single or named:
+            raise InputError(f"--run: is given beside {(single or ['--lidar'])[0]}; allowed: one of both")
+        return layout_of_run(folder, scenario)
+    if not scenario.further_lidars and not named:
+        return (mounting_from(args, scenario),)
+    names = [lidar.name for lidar in scenario.lidars]
+    if single:
+        raise InputError(
+            f"{single[0]}: is of one LiDAR, but the scene has {', '.join(names)}; allowed: --lidar NAME,height_m=4.1"
+        )
+    given = {}
+    for text in named or ():
+        name, _, rest = (part.strip() for part in text.partition(","))
+        if name in given:
+            raise InputError(f"--lidar: {name} is given twice; allowed: once for each LiDAR")
+        given[name] = parse_pairs(rest, f"--lidar {name}", "height_m=4.1,tilt_x_deg=19") if rest else {}
+    return layout_of(scenario, given, "--lidar")
+
+
+def layout_of(scenario: Scenario, given: Mapping[str, Mapping[str, object]], where: str) -> Layout:
+    """The mountings of all LiDARs by their names: see `_mounting_of`."""
+    names, found = [lidar.name for lidar in scenario.lidars], []
+    poles = {(pole.x_m, pole.y_m): pole.name for lidar in scenario.lidars for pole in lidar.deployment.poles}
+    for name in given:
+        if name not in names:
+            raise unknown_name(name, names, "LiDAR", where)
+    for one in scenario.each:
+        name, others = one.lidar_name, {mounting.xy: name for name, mounting in zip(names, found, strict=False)}
+        found.append(_mounting_of(one, given.get(name, {}), f"{where} {name}"))
+        if (xy := found[-1].xy) in others and xy in poles:
+            raise InputError(f"{where} {name}: hangs on pole {poles[xy]}, as {others[xy]} does; allowed: a pole each")
+    return tuple(found)
+
+
+def layout_of_run(folder: str, scenario: Scenario) -> Layout:
+    """The mountings of a run of the same LiDARs, by their names."""
+    from ..run.folder import RunFolder
+
+    rows = {row["name"]: row["deployment"] for row in RunFolder(folder).result["lidars"]}
+    if set(rows) != {one.lidar_name for one in scenario.each}:
+        there = ", ".join(name or "one without a name" for name in rows)
+        raise InputError(f"--run: {folder}: has other LiDARs ({there}) than the scene; allowed: a run of the same")
+    return tuple(one.mounting(rows[one.lidar_name], f"{folder}: result.json") for one in scenario.each)
+
+
+def _mounting_of(scenario: Scenario, given: Mapping[str, object], where: str) -> Mounting:
+    """The mounting of one LiDAR by pole and coordinates; others are as its one place fixes them, or its baseline's."""
+    pairs = {key: value for key, value in given.items() if key != "pole"}
+    for key in pairs:
+        if key not in MOUNTING_OR_LEAN:
+            raise unknown_name(key, [*MOUNTING_OR_LEAN, "pole"], "coordinate", where)
+    pairs = {key: checked(value, MOUNTING_OR_LEAN[key], f"{where}: {key}") for key, value in pairs.items()}
+    rivals = {rival for key in pairs for rival in MOUNTING_OR_LEAN[key].rivals}
+    places = scenario.deployment.places
+    fixed = places[0].fixed if len(places) == 1 else {}
+    hung = {key: value for key, value in fixed.items() if key in MOUNTING_OR_LEAN and key not in rivals}
+    if "pole" in given:
+        if place := next((key for key in ("x_m", "y_m") if key in pairs), None):
+            raise InputError(f"{where}: {place}: is given beside pole; allowed: one of both")
+        place = scenario.deployment.at(scenario.deployment.pole_named(str(given["pole"]), f"{where}: pole"))
+        hung |= {key: value for key, value in place.fixed.items() if key in ("x_m", "y_m", "facing_deg")}
+    return scenario.mounting(hung | pairs, where)
+
+
 # --- Options that are written in another way than a scene's settings --------------------------------------
 
 
@@ -216,14 +291,17 @@ def parse_frames(text: str, option: str) -> list[int]:
 
 def parse_tolerance(text: str, option: str) -> dict[str, float | str] | None:
     """A table of half-widths from "tilt_deg=1,height_m=0.05", None from "none"; the scene's checks see to its keys."""
-    if text == "none":
-        return None
+    return None if text == "none" else parse_pairs(text, option, "tilt_deg=1,height_m=0.05, or none")
+
+
+def parse_pairs(text: str, option: str, such_as: str) -> dict[str, float | str]:
+    """A table from "key=value,key=value"."""
     table: dict[str, float | str] = {}
     for part in text.split(","):
         key, equals, value = (piece.strip() for piece in part.partition("="))
         if not equals or not value or key in table:
             fault = "is there twice" if key in table else "is no key=value"
-            raise InputError(f"{option}: {part!r} {fault}; allowed: such as tilt_deg=1,height_m=0.05, or none")
+            raise InputError(f"{option}: {part!r} {fault}; allowed: such as {such_as}")
         table[key] = _numbers_read(value, float)
     return table
 

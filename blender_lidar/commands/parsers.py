@@ -212,6 +212,8 @@ def _chart(subparsers) -> None:
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--tolerance"))
     _add_pole(parser)
+    said = "of several LiDARs, folder of a run on whose poles the study has them"
+    parser.add_argument("--run", dest="of_run", action=Once, metavar="DIR", help=said)
     add = parser.add_argument_group("chart").add_argument
     regret = "share of the gain over the baseline that a cheaper model may cost, above 0 up to 100%%: 1%% or 0.01 "
     regret += "(default 1%%)"
@@ -228,7 +230,9 @@ def _scan(subparsers) -> None:
         "scan SCENE.toml --frame K --out CLOUD",
         "write the point clouds of frames",
         "Simulate one revolution of the LiDAR in a frame and write the point cloud: .npz (all attributes), .pcd, .ply, "
-        ".las, .laz, or KITTI's .bin with its .label. With --frame-ids write a folder of clouds, one for each frame.",
+        ".las, .laz, or KITTI's .bin with its .label. With --frame-ids write a folder of clouds, one for each frame. "
+        "Of several LiDARs write the fused cloud, and beside it CLOUD_NAME of each in its own frame; .bin and "
+        "sustechpoints, whose frame is a sensor's, have the fused cloud in that of the first LiDAR.",
         "i80 --frame 1000 --height 4.1 --tilt-x 19 --out cloud.pcd",
         "i80 --frame-ids 100:1000:100 --format sustechpoints --out clouds",
         run="scan.run_scan",
@@ -248,7 +252,8 @@ def _detect(subparsers) -> None:
         "judge a detector at a mounting",
         "Let a detector find the vehicles of the held-out frames at a mounting and at the baseline, and write recall, "
         "precision and average precision with paired intervals, the boxes as CSV and as KITTI's labels, and a picture "
-        "of one frame. Given a data set, judge the detector on its validation scans, each from its mounting. Given a "
+        "of one frame; of several LiDARs each one alone, their boxes merged, and their points merged. Given a data "
+        "set, judge the detector on its validation scans, each from its mounting. Given a "
         "folder of clouds, those of scan or with --pose of a recording, write the boxes that the detector finds.",
         "i80 --height 4.5 --tilt-x 23",
         "i80 --height 4.5 --tilt-x 23 --detector classical",

@@ -39,7 +39,7 @@ def _row(group: Mapping) -> dict[str, object]:
 
 
 def _outlines(site: Site, result: Mapping, rows: Mapping[str, Mapping]) -> dict[str, object] | None:
-    """GeoJSON: the counted part of each approach with its shares, and the mast; None where no map has approaches.
+    """GeoJSON: the counted part of each approach with its shares, and the masts; None where no map has approaches.
 
     Coordinates are the map's own metres. Of a SUMO net in UTM they are UTM's, without the net's offset, and ``crs``,
     of the older GeoJSON of 2008 that GIS programs read, names the zone; else the program must be told.
@@ -54,9 +54,10 @@ def _outlines(site: Site, result: Mapping, rows: Mapping[str, Mapping]) -> dict[
         lanes = [lane for lane in region.spans if road.lanes[lane].road == name]
         polygons = [[placed(outline)] for lane in lanes for outline in road.area([lane], region.spans[lane])]
         features.append(_feature("MultiPolygon", polygons, row))
-    mount = result["deployment"]
-    (foot,) = placed([(mount["x_m"], mount["y_m"])])[:1]
-    features.append(_feature("Point", foot, {"name": "LiDAR", **mount}))
+    for lidar in result["lidars"]:
+        mount = lidar["deployment"]
+        (foot,) = placed([(mount["x_m"], mount["y_m"])])[:1]
+        features.append(_feature("Point", foot, {"name": lidar["name"] or "LiDAR", **mount}))
     named = {"crs": {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{zone}"}}} if zone else {}
     return {"type": "FeatureCollection", **named, "features": features}
 

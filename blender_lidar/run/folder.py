@@ -32,7 +32,7 @@ from ..scene.observation import WAY_COLUMNS
 from ..scene.provenance import check_identity
 from ..scene.scenario import Scenario
 from ..toml_table import to_toml
-from .vehicle_table import WEIGHT, columns_for
+from .vehicle_table import WEIGHT, columns_for, points_columns
 from .verdict import ScoreMap
 
 RUN_SCHEMA = 1
@@ -49,7 +49,7 @@ _SCENE_MARK = "# The scene as blender_lidar "  # how a scene file begins that a 
 _BLOCK_OBJECTIVE, _BLOCK_VEHICLES, _BLOCK_RECORDING = "objective_block_", "vehicles_block_", "recording_block_"
 _KINDS = {  # of columns; the others hold floats
     **dict.fromkeys(("class", "split", *WAY_COLUMNS), str),
-    **dict.fromkeys(("frame", "vehicle_id", "points", "detectable", "lane"), np.int64),
+    **dict.fromkeys(("frame", "vehicle_id", "points", "detectable", "lane"), np.int64),  # and points of each LiDAR
 }
 _DECIMALS = {
     # Boxes so exactly that `score` counts their cells as the run did: a millimetre may be a whole row of cells.
@@ -57,6 +57,12 @@ _DECIMALS = {
     "distance_m": 3,
     **dict.fromkeys(("p_top", "p_side", "p_front", "entropy_bits"), 6),
 }
+
+
+def of_lidar(name: str, lidar: str) -> str:
+    """Name of the file that one of several LiDARs has: ``score_map_north.csv``; that of a single one without one."""
+    stem, dot, suffix = name.rpartition(".")
+    return f"{stem}_{lidar}{dot}{suffix}" if lidar else name
 
 
 class RunFolder:
@@ -218,8 +224,8 @@ class RunFolder:
         ]
         write_text(self.file(RANKING), to_csv(names, ([row.get(key) for key in names] for row in rows)))
 
-    def write_score_map(self, score_map: ScoreMap) -> None:
-        """Write the objective over height and tilt, one row for each grid point."""
+    def write_score_map(self, score_map: ScoreMap, lidar: str = "") -> None:
+        """Write the objective over height and tilt, of one LiDAR of several, one row for each grid point."""
         height, tilt = np.meshgrid(score_map.height_m, score_map.tilt_deg, indexing="ij")
         columns = {
             "height_m": height.ravel().round(9),
@@ -236,29 +242,37 @@ class RunFolder:
         recording = score_map.block_recording
         if recording is not None and recording.any():
             columns |= {f"{_BLOCK_RECORDING}{block}": np.full(height.size, recording[block]) for block in blocks}
-        write_columns(self.file(SCORE_MAP), columns)
+        write_columns(self.file(of_lidar(SCORE_MAP, lidar)), columns)
 
     def read_history(self) -> np.ndarray:
         """The rows of history.csv, (evaluations, columns)."""
+        return np.column_stack([*self.read_columns().values()])
+
+    def read_columns(self) -> dict[str, np.ndarray]:
+        """The columns of history.csv by their names, (evaluations,) each."""
         with _columns_of(self.file(HISTORY)) as columns:
-            return np.column_stack([*columns.values()])
+            return columns
 
     def _read_vehicles(self, name):
         """The vehicle table of a file."""
         with refused_by_name(self.file(RESULT)):
-            metric = self.result["metric"]
+            metric, lidars = self.result["metric"], [one["name"] for one in self.result["lidars"]]
         with _columns_of(self.file(name)) as columns:
-            table = {key: columns[key] for key in columns_for(metric, WEIGHT in columns, WAY_COLUMNS[0] in columns)}
+            names = columns_for(metric, WEIGHT in columns, WAY_COLUMNS[0] in columns, lidars)
+            table = {key: columns[key] for key in names}
             for key, values in table.items():
                 if _KINDS.get(key) is not str and not np.isfinite(values).all():
                     raise ValueError(f"column {key} holds what is no finite number")
+            for key in points_columns(lidars) if len(lidars) > 1 else ():
+                table[key] = table[key].astype(np.int64)
             return table | {"detectable": table["detectable"] > 0}
 
-    def read_score_map(self) -> ScoreMap | None:
-        """The objective over height and tilt, None where the run has none."""
-        if not self.file(SCORE_MAP).exists():
+    def read_score_map(self, lidar: str = "") -> ScoreMap | None:
+        """The objective over height and tilt, of one LiDAR of several; None where the run has none."""
+        path = self.file(of_lidar(SCORE_MAP, lidar))
+        if not path.exists():
             return None
-        with _columns_of(self.file(SCORE_MAP)) as columns:
+        with _columns_of(path) as columns:
             axis = "lean_deg" if "lean_deg" in columns else "tilt_x_deg"
             height, tilt = np.unique(columns["height_m"]), np.unique(columns[axis])
             shape = (len(height), len(tilt))

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import asdict, fields, replace
+from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -19,9 +22,10 @@ from ..optimise.search import joined_history
 from ..plugins import short_name
 from ..scene.deployment import MOUNTING_OR_LEAN, Pole, SearchSpace
 from ..scene.directions import pointing
-from ..scene.mounting import Layout, Mounting
+from ..scene.mounting import Layout
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario
+from ..scene.settings import Tolerance
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity, make_rungs
@@ -30,6 +34,8 @@ from ..traffic.frames import NOTHING_HELD_OUT
 from .approach_files import write_approaches
 from .assumptions import assumptions, site_name
 from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, RunFolder
+from .layout_search import LayoutObjective, LayoutSearch, coordinates_of, layout_history, on_same_masts
+from .layouts import judge_layout, pole_under
 from .replay import Listener, Replay
 from .tolerance import JUDGED_BASE, SEARCHED_BASE, best_over_tolerance, objective_over
 from .vehicle_table import add_shares, vehicle_tables
@@ -84,6 +90,8 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
     replay = Replay(folder, site.identity, resume=resume)
     folder.write_scene(site.scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
+        if site.scenario.further_lidars:
+            return _conclude(site, folder, evaluator, started, _search_layout(site, evaluator, replay, listener))
         every = [_search_space(site, space, evaluator, replay, listener) for space in spaces]
         rows, best = None, 0
         if site.scenario.deployment.poles:
@@ -96,7 +104,7 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
 
 
 class _Found(NamedTuple):
-    """What the searches of one search space have come to.
+    """What the searches of one search space, or of a layout, have come to.
 
     Attributes
     ----------
@@ -104,25 +112,31 @@ class _Found(NamedTuple):
         The answer, the baseline and, over a tolerance, the best that hangs as planned.
     searches : dict of str to searches
         Of mountings as planned and over the tolerance, one after the other.
-    space : SearchSpace or None
-        What was searched.
-    on_map : (ScoreMap, Layout) or None
-        The score map and its best mounting.
+    histories : dict of str to (rows, variables)
+        Of both, as files have them.
+    spaces : tuple of SearchSpace or None
+        For each LiDAR what was searched, the others held; None where it was given.
+    maps : tuple of (ScoreMap, Layout) or None
+        For each LiDAR the score map and its best layout, the others held.
     spread : dict or None
         What several coordinates came to.
-    polished : bool
-        Whether a point of the map is where the answer was found.
+    polished : set of int
+        For which LiDARs a point of their map is where the answer was found.
     without_block : sequence of Layout, b, or None
         The best without each searched block, where too little is held out.
+    steps : sequence of Layout
+        The layout with each number of its LiDARs.
     """
 
     layouts: Mapping[str, Layout]
     searches: Mapping[str, Sequence[Search | MultiFidelitySearch]]
-    space: SearchSpace | None = None
-    on_map: tuple[ScoreMap, Layout] | None = None
+    histories: Mapping[str, tuple[np.ndarray, Sequence[str]]] = MappingProxyType({})
+    spaces: tuple[SearchSpace | None, ...] = (None,)
+    maps: tuple[tuple[ScoreMap, Layout] | None, ...] = (None,)
     spread: Mapping | None = None
-    polished: bool = False
+    polished: AbstractSet[int] = frozenset()
     without_block: Sequence[Layout] | None = None
+    steps: Sequence[Layout] = ()
 
 
 def _search_space(site: Site, space: SearchSpace, evaluator: Evaluator, replay: Replay, listener: Listener) -> _Found:
@@ -160,14 +174,101 @@ def _search_space(site: Site, space: SearchSpace, evaluator: Evaluator, replay: 
         layouts["optimised"] = best_over_tolerance(evaluator, plans, tolerance)
         layouts[NOMINAL], searches[ROBUST] = sharp, [robust]
     on_map = None if score_map is None else (score_map, space.layout(_on_map(space, score_map, best.best_x)))
-    return _Found(layouts, searches, space, on_map, spread, polished, without_block)
+    histories = {
+        name: (joined_history([search.history for search in parts]), space.variables)
+        for name, parts in searches.items()
+    }
+    return _Found(layouts, searches, histories, (space,), (on_map,), spread, {0} if polished else set(), without_block)
+
+
+def _search_layout(site: Site, evaluator: Evaluator, replay: Replay, listener: Listener) -> _Found:
+    """Search the best layout of several LiDARs."""
+    scenario, _plan = site.scenario, site.plan
+    use, tolerance, objective = scenario.search, scenario.objective.tolerance, LayoutObjective(site, evaluator)
+    found = layout_search(site, objective, replay, listener)
+    found.run()
+    polished = set()
+    maps = [_map_of(site, evaluator, found, number, listener) for number in range(len(found.places))]
+    for number, on_map in enumerate(maps):
+        if on_map is None:
+            continue
+        best = float(on_map[0].block_objective.sum(axis=-1).max())
+        if best > found.value + _EQUAL * abs(found.value):
+            space = found.space(number)
+            start = _on_map(space, on_map[0], found.point(number))
+            if found.accept(space, found.polish(space, start, f"{scenario.lidars[number].name}, polish")):
+                polished.add(number)
+    if polished:  # the others hang elsewhere now than when the maps were made
+        maps = [_map_of(site, evaluator, found, number, listener) for number in range(len(found.places))]
+    spaces = [None if place is None else found.space(number) for number, place in enumerate(found.places)]
+    sharp, searches = tuple(found.layout), {NOMINAL: [search for _, search in found.searches]}
+    layouts = {"optimised": sharp, BASELINE_NAME: scenario.baselines}
+    histories = {NOMINAL: layout_history(found)}
+    steps = [*found.steps[:-1], sharp]
+    free = [number for number, place in enumerate(found.places) if place is not None and place.bounds]
+    joint, without_block, spread = found.space(*free), None, None
+    tried, sums = objective.tried(found.searches)
+    if _cross_fits(site) and tried:
+        without_block = [tried[row] for row in best_without_block(sums)]
+    alike = [row for row, one in enumerate(tried) if on_same_masts(one, sharp, joint)]
+    if free and alike:
+        at = found.point(*free)
+        spread = _spread(
+            site, joint, [], (coordinates_of(joint, [tried[row] for row in alike]), sums[alike]), evaluator.weight, at
+        )
+    if tolerance is not None and free:
+        robust = Polish(
+            joint.lower,
+            joint.upper,
+            start=np.array(found.point(*free)),
+            seed=use.seed,
+            evaluations=min(_POLISH * len(joint.lower), use.particles * use.iterations),
+            periodic=joint.periodic,
+        )
+        robust.label, robust.variables = "search over the tolerance", joint.variables
+        replay.carry_out(robust, partial(_over_tolerance, evaluator, joint, tolerance), listener)
+        layouts["optimised"] = best_over_tolerance(evaluator, [joint.layout(robust.best_x), sharp], tolerance)
+        layouts[NOMINAL], searches[ROBUST] = sharp, [robust]
+        histories[ROBUST] = robust.history, joint.variables
+    return _Found(
+        layouts, searches, histories, tuple(spaces), tuple(maps), spread, polished, without_block, tuple(steps)
+    )
+
+
+def _map_of(
+    site: Site, evaluator: Evaluator, found: LayoutSearch, number: int, listener: Listener
+) -> tuple[ScoreMap, Layout] | None:
+    """The score map of one LiDAR, the others held where they hang, and its best layout; None where it has none."""
+    place, plan = found.places[number], site.plan
+    if place is None or not place.bounds:
+        return None
+    space, point = found.space(number), found.point(number)
+    progress, of = listener.mapping, plan.search_recording
+    score_map = map_scores(evaluator, space, point, plan.search_block, progress, recording=of)
+    return None if score_map is None else (score_map, space.layout(_on_map(space, score_map, point)))
+
+
+def layout_search(site: Site, objective: LayoutObjective, replay: Replay, listener: Listener) -> LayoutSearch:
+    """The search of a scene's layout, before it is carried out: each LiDAR by the scene's own method."""
+    scenario, use = site.scenario, site.scenario.search
+
+    def make(space: SearchSpace, budget: int, seed: int) -> Search:
+        return fresh_search(replace(scenario, search=replace(use, seed=seed)), space, budget)
+
+    return LayoutSearch(site, objective, replay, listener, make, use.particles * use.iterations)
+
+
+def _over_tolerance(evaluator: Evaluator, space: SearchSpace, tolerance: Tolerance, x: np.ndarray) -> np.ndarray:
+    """The objective over a tolerance at points of a space, (s,)."""
+    return objective_over(evaluator, [space.layout(row) for row in x], tolerance)
 
 
 def _cross_fits(site: Site) -> bool:
     """Whether too few blocks of time are held out, and those searched can judge as well."""
     scenario, plan = site.scenario, site.plan
     held_out = {int(one) for one, frame in zip(plan.holdout_block, site.holdout, strict=True) if frame.counted.any()}
-    able = scenario.objective.tolerance is None and not scenario.deployment.poles and scenario.search.fidelity != AUTO
+    poles = any(len(lidar.deployment.places) > 1 for lidar in scenario.lidars)
+    able = scenario.objective.tolerance is None and not poles and scenario.search.fidelity != AUTO
     return able and len(held_out) < FEW_BLOCKS and len(np.unique(plan.search_block)) >= FEWEST_BLOCKS
 
 
@@ -194,16 +295,16 @@ def ended_search(site: Site, folder: RunFolder, note: Callable[[str], object]) -
     return result
 
 
-def evaluate_site(site: Site, folder: RunFolder, mounting: Mounting, pole: Pole | None = None) -> dict:
-    """Score one mounting; write and return the result.
+def evaluate_site(site: Site, folder: RunFolder, layout: Layout, pole: Pole | None = None) -> dict:
+    """Score one layout; write and return the result.
 
-    `pole` is the candidate pole that it hangs on, if it was named.
+    `pole` is the candidate pole that a single LiDAR hangs on, if it was named.
     """
     started = time.perf_counter()
     folder.write_scene(site.scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        layouts = {"optimised": (mounting,), BASELINE_NAME: (site.scenario.baseline,)}
-        return _conclude(site, folder, evaluator, started, _Found(layouts, {}), pole=pole)
+        layouts, none = {"optimised": layout, BASELINE_NAME: site.scenario.baselines}, (None,) * len(layout)
+        return _conclude(site, folder, evaluator, started, _Found(layouts, {}, spaces=none, maps=none), pole=pole)
 
 
 def fresh_search(scenario: Scenario, space: SearchSpace, evaluations: int | None = None) -> Search:
@@ -282,8 +383,7 @@ class _SearchedObjective:
 
     def over_tolerance(self, x: np.ndarray) -> np.ndarray:
         """Over the scene's tolerance, (s,)."""
-        plans, tolerance = [self._space.layout(row) for row in x], self._site.scenario.objective.tolerance
-        return objective_over(self._evaluator, plans, tolerance)
+        return _over_tolerance(self._evaluator, self._space, self._site.scenario.objective.tolerance, x)
 
     def by_block(self, searches: Sequence[Search]) -> tuple[np.ndarray, np.ndarray]:
         """All mountings that were tried, (n, d), and their objective in each block, (n, b)."""
@@ -368,15 +468,15 @@ def _conclude(
     `poles` are all candidate places, ranked, of which `found` is the first, on its `pole`; `others` is how many
     evaluations were made on the others.
     """
-    layouts, searches, space, on_map, spread, polished, without_block = found
+    layouts, searches, spread, without_block = found.layouts, found.searches, found.spread, found.without_block
     scenario, metric, seed = site.scenario, metric_named(site.scoring.metric), site.scenario.search.seed
-    for name, parts in zip((HISTORY, HISTORY_NOMINAL), reversed(searches.values()), strict=False):
-        history = joined_history([search.history for search in parts])
-        folder.write_history(name, history, space.variables)
-    judged, planned = dict(layouts), NOMINAL if NOMINAL in layouts else "optimised"
-    if on_map is not None:
-        folder.write_score_map(on_map[0])
-        judged["best_of_map"] = on_map[1]
+    for name, (history, variables) in zip((HISTORY, HISTORY_NOMINAL), reversed(found.histories.values()), strict=False):
+        folder.write_history(name, history, variables)
+    judged, names = dict(layouts), [lidar.name for lidar in scenario.lidars]
+    for name, on_map in zip(names, found.maps, strict=True):
+        if on_map is not None:
+            folder.write_score_map(on_map[0], name if len(names) > 1 else "")
+            judged[best_of_map(name)] = on_map[1]
     if poles is not None:
         folder.write_ranking(poles)
     splits = {"search": evaluator, "holdout": evaluator.held_out}
@@ -399,17 +499,18 @@ def _conclude(
             "judged_errors": JUDGED_BASE**2,
             "evaluations": evaluations or None,
             "robust": judge_over_tolerance(site, layouts, evaluator, seed),
-            "sharp": {"deployment": layouts[NOMINAL][0].as_table(), **verdict[NOMINAL]} if searches else None,
+            "sharp": {**_deployed(scenario, layouts[NOMINAL]), **verdict[NOMINAL]} if searches else None,
         }
     )
+    lidars = _lidar_rows(site, evaluator, found, verdict)
     every = (search for parts in searches.values() for search in parts)
     rungs = [rung_costs(search) for search in every if isinstance(search, MultiFidelitySearch)]
     result = {
         "schema": RUN_SCHEMA,
         "scene": Path(scenario.source).name,
         "site": site_name(scenario),
-        "sensor": site.model.name,
-        "range_gate_m": scenario.sensor.range_gate_m,
+        "sensor": sensors_text(site),
+        "range_gate_m": scenario.range_gate_m,
         "region": scenario.as_tables()["region"],
         "imperfections": scenario.sensor.imperfections_as_table(),
         "scenery": scenery_counts(site),
@@ -424,25 +525,25 @@ def _conclude(
         "evaluations": (sum(evaluations.values()) or 1) + others,
         "fidelity": scenario.search.fidelity if searches else "full",
         "rungs": rungs[0] if rungs else None,
-        "map": None if on_map is None else {**map_verdict(on_map[0], verdict, planned, seed), "polished": polished},
         "spread": spread,
-        "pole": None if pole is None else {"name": pole.name, "foot_z_m": pole.foot_z_m},
+        **({"pole": _pole_row(pole)} if len(lidars) == 1 else {}),
         "poles": None if poles is None else list(poles),
-        "bounds": {key: list(pair) for key, pair in space.places[0].bounds.items()} if searches else None,
         "frames": len(site.search),
         "frame_ids": [int(frame) for frame in site.plan.search],
         "holdout_frame_ids": [int(frame) for frame in site.plan.holdout],
         "block_s": site.plan.block_s,
         "vehicles": int(evaluator.vehicles.sum()),
-        "deployment": layouts["optimised"][0].as_table(),
-        "pointing": pointing(site, layouts["optimised"][0]),
+        **({key: value for key, value in lidars[0].items() if key != "name"} if len(lidars) == 1 else {}),
+        "lidars": lidars,
+        "layout": None
+        if len(lidars) == 1
+        else judge_layout(site, evaluator, layouts["optimised"], found.steps, searched=bool(searches)),
         **verdict["optimised"],
         "groups": groups,
-        "baseline": {"deployment": scenario.baseline.as_table(), **verdict[BASELINE_NAME]},
+        "baseline": {**_deployed(scenario, scenario.baselines), **verdict[BASELINE_NAME]},
         "cross_fitted": crossed,
         "tolerance": over_tolerance,
-        "next_metre": next_metre(site, evaluator, space, layouts["optimised"][0]) if searches else None,
-        "other_traffic": other_traffic(site, layouts["optimised"][0]),
+        "other_traffic": other_traffic(site, layouts["optimised"]),
         "assumptions": assumptions(site, tables["optimised"]),
         "warnings": site.recording.report.warnings_as_dicts(),
         "notes": [note for note in site.plan.notes if crossed is None or NOTHING_HELD_OUT not in note],
@@ -453,3 +554,56 @@ def _conclude(
     }
     write_approaches(folder, site, result)
     return folder.finish(result)
+
+
+def sensors_text(site: Site) -> str:
+    """The sensors of a site, such as "RS-16", or "2 x RS-16 and RS-32"."""
+    names = [lidar.lattice.model.name for lidar in site.observation.lidars]
+    counts = [(name, names.count(name)) for name in dict.fromkeys(names)]
+    return " and ".join(name if count == 1 else f"{count} x {name}" for name, count in counts)
+
+
+def _pole_row(pole: Pole | None) -> dict[str, object] | None:
+    return None if pole is None else {"name": pole.name, "foot_z_m": pole.foot_z_m}
+
+
+def _deployed(scenario: Scenario, layout: Layout) -> dict[str, object]:
+    """Where a layout hangs: the one mounting, or that of each LiDAR by its name."""
+    if len(layout) == 1:
+        return {"deployment": layout[0].as_table()}
+    named = zip(scenario.lidars, layout, strict=True)
+    return {"deployments": {lidar.name: mounting.as_table() for lidar, mounting in named}}
+
+
+def _lidar_rows(site: Site, evaluator: Evaluator, found: _Found, verdict: Mapping[str, dict]) -> list[dict]:
+    """Of each LiDAR its sensor, where it hangs and points, what was searched, and its score map in numbers."""
+    layout, seed, rows = found.layouts["optimised"], site.scenario.search.seed, []
+    planned = NOMINAL if NOMINAL in found.layouts else "optimised"
+    of_each = zip(site.each, layout, site.scenario.baselines, found.spaces, found.maps, strict=True)
+    for number, (one, mounting, baseline, space, on_map) in enumerate(of_each):
+        name, map_row = one.scenario.lidar_name, None
+        if on_map is not None:
+            scores = {**verdict, "best_of_map": verdict[best_of_map(name)]}
+            map_row = {**map_verdict(on_map[0], scores, planned, seed), "polished": number in found.polished}
+        row = {
+            "name": name,
+            "sensor": one.model.name,
+            "range_gate_m": one.scenario.sensor.range_gate_m,
+            "imperfections": one.scenario.sensor.imperfections_as_table(),
+            "price": one.scenario.sensor.price,
+            "map": map_row,
+            "bounds": None if space is None else {key: list(ends) for key, ends in space.places[0].bounds.items()},
+            "deployment": mounting.as_table(),
+            "pointing": pointing(site, mounting),
+            "next_metre": None if space is None else next_metre(site, evaluator, space, layout),
+        }
+        if len(layout) > 1:
+            row["pole"] = _pole_row(pole_under(site, name, mounting))
+            row["baseline"] = baseline.as_table()
+        rows.append(row)
+    return rows
+
+
+def best_of_map(name: str) -> str:
+    """What the best layout of a LiDAR's score map is called in a verdict."""
+    return f"best_of_map {name}".rstrip()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..scene.deployment import COORDINATE_LIMITS
+from ..scene.deployment import COORDINATE_LIMITS, variable_of
 from ..scene.mounting import ANGLES, Layout, Mounting
 from ..scene.settings import Tolerance
 from ..scoring.evaluation import Evaluator, Totals
@@ -77,10 +77,24 @@ def installed(plan: Mounting, errors: np.ndarray) -> list[Mounting]:
     return [Mounting(plan.mast, *row) for row in hung.tolist()]
 
 
-def _installed(plan: Layout, errors: np.ndarray) -> list[Layout]:
-    """The same of a layout of one LiDAR."""
-    (mounting,) = plan
-    return [(one,) for one in installed(mounting, errors)]
+def installed_layouts(plan: Layout, errors: np.ndarray) -> list[Layout]:
+    """The same of a layout, whose LiDARs are off each by itself: the errors in another order for each."""
+    orders = [np.arange(len(errors))]
+    orders += [np.random.default_rng(number).permutation(len(errors)) for number in range(1, len(plan))]
+    return list(zip(*(installed(one, errors[order]) for one, order in zip(plan, orders, strict=True)), strict=True))
+
+
+def at_limits(plan: Layout, tolerance: Tolerance, names: Sequence[str]) -> dict[str, list[Layout]]:
+    """A layout with one coordinate of one LiDAR off by minus and by plus its half-width, by the coordinate's name."""
+    found = {}
+    for number, (name, mounting) in enumerate(zip(names, plan, strict=True)):
+        for key, width in tolerance.half_widths.items():
+            ends = [[sign * width * (other == key) for other in _NOT_EXACT] for sign in (-1.0, 1.0)]
+            hung = installed(mounting, np.array(ends))
+            found[variable_of(name if len(plan) > 1 else "", key)] = [
+                (*plan[:number], one, *plan[number + 1 :]) for one in hung
+            ]
+    return found
 
 
 def aimed(values: np.ndarray, aim: str) -> np.ndarray:
@@ -101,7 +115,7 @@ def objective_over(
     of 121 by 0.0011. The mounting as planned is, alone, 0.006 off that mean.
     """
     errors = installation_errors(tolerance, base or SEARCHED_BASE[tolerance.aim])
-    layouts = [layout for plan in plans for layout in _installed(plan, errors)]
+    layouts = [layout for plan in plans for layout in installed_layouts(plan, errors)]
     objective = evaluator.totals(layouts).objective.sum(axis=1)
     return aimed(objective.reshape(len(plans), len(errors)), tolerance.aim)
 
@@ -231,16 +245,13 @@ def losses_over_tolerance(
     recording : ndarray of int, (f,), optional
         Recording of each of them, where there are several.
     """
-    errors, widths = installation_errors(tolerance, JUDGED_BASE), tolerance.half_widths
-    limits = [
-        [sign * width * (other == key) for other in _NOT_EXACT] for key, width in widths.items() for sign in (-1.0, 1.0)
-    ]
-    errors_of_all = np.concatenate([np.zeros((1, len(_NOT_EXACT))), errors, limits])
-    totals = evaluator.totals(_installed(plan, errors_of_all))
+    errors, limits = installation_errors(tolerance, JUDGED_BASE), at_limits(plan, tolerance, evaluator.lidars)
+    off = [layout for pair in limits.values() for layout in pair]
+    totals = evaluator.totals([plan, *installed_layouts(plan, errors), *off])
     planned = judged_rows(totals, slice(0, 1), block, recording)
     lost = planned.per_vehicle - totals.per_vehicle()[1 + len(errors) :]
     return ToleranceLosses(
         planned,
         judged_rows(totals, slice(1, 1 + len(errors)), block, recording, tolerance.aim),
-        dict(zip(widths, lost.reshape(-1, 2).tolist(), strict=True)),
+        dict(zip(limits, lost.reshape(-1, 2).tolist(), strict=True)),
     )

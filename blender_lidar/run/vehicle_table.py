@@ -44,9 +44,20 @@ WEIGHT = "weight"
 """The column of how much a vehicle counts in the objective, where the scene has weights."""
 
 
-def columns_for(metric: str, weighted: bool = False, ways: bool = False) -> tuple[str, ...]:
-    """The columns of the table of a run with a metric, of a scene with weights and with ways or without."""
-    return VEHICLE_COLUMNS + (METRIC_VALUE,) * (metric != PE_VGOP.name) + (WEIGHT,) * weighted + WAY_COLUMNS * ways
+def columns_for(
+    metric: str, weighted: bool = False, ways: bool = False, lidars: Sequence[str] = ("",)
+) -> tuple[str, ...]:
+    """The columns of the table of a run with a metric, of a scene with weights and with ways or without.
+
+    Of several LiDARs each has a column of its points.
+    """
+    found = VEHICLE_COLUMNS + (METRIC_VALUE,) * (metric != PE_VGOP.name) + (WEIGHT,) * weighted + WAY_COLUMNS * ways
+    return found + (points_columns(lidars) if len(lidars) > 1 else ())
+
+
+def points_columns(lidars: Sequence[str]) -> tuple[str, ...]:
+    """The columns of the points of each LiDAR, by its name."""
+    return tuple(f"points_{name}" for name in lidars)
 
 
 def metric_values(table: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -74,7 +85,8 @@ def vehicle_tables(layouts: Sequence[Layout], **splits: Evaluator) -> list[dict[
     list of dict of str to ndarray, (n,)
         The columns of `columns_for` the metric; `distance_m` is horizontal, from the nearest LiDAR.
     """
-    metric = next(iter(splits.values())).metric
+    one = next(iter(splits.values()))
+    metric, lidars = one.metric, one.lidars
     weighted = any(frame.weight is not None for evaluator in splits.values() for frame in evaluator.frames)
     found = [
         (frame, scored, split)
@@ -85,12 +97,12 @@ def vehicle_tables(layouts: Sequence[Layout], **splits: Evaluator) -> list[dict[
     tables = []
     for row, layout in enumerate(layouts):
         parts = [
-            _frame_table(frame.vehicles.select(frame.counted), layout, scored, row, split)
+            _frame_table(frame.vehicles.select(frame.counted), layout, scored, row, split, lidars)
             | {WEIGHT: frame.counted_weight}
             | {name: values[frame.counted] for name, values in (frame.ways or {}).items()}
             for frame, scored, split in found
         ]
-        names = columns_for(metric, weighted, all(frame.ways is not None for frame, *_ in found))
+        names = columns_for(metric, weighted, all(frame.ways is not None for frame, *_ in found), lidars)
         tables.append({name: np.concatenate([part[name] for part in parts]) for name in names})
     return tables
 
@@ -100,9 +112,12 @@ def vehicle_table(layout: Layout, **splits: Evaluator) -> dict[str, np.ndarray]:
     return vehicle_tables([layout], **splits)[0]
 
 
-def _frame_table(vehicles: Vehicles, layout: Layout, scored: Scored, row: int, split: str) -> dict[str, np.ndarray]:
+def _frame_table(
+    vehicles: Vehicles, layout: Layout, scored: Scored, row: int, split: str, names: Sequence[str]
+) -> dict[str, np.ndarray]:
     shares = scored.seen.occupancy[row]
-    away = [np.hypot(*(vehicles.centre_m[:, :2] - mounting.pose.position[:2]).T) for mounting in layout]
+    hung = [mounting.pose.position[:2] for mounting in layout if mounting is not None]
+    away = [np.hypot(*(vehicles.centre_m[:, :2] - xy).T) for xy in hung] or [np.full(len(vehicles), np.inf)]
     return {
         "frame": np.full(len(vehicles), vehicles.frame),
         "vehicle_id": vehicles.vehicle_id,
@@ -118,6 +133,7 @@ def _frame_table(vehicles: Vehicles, layout: Layout, scored: Scored, row: int, s
         "lane": vehicles.lane,
         "split": np.full(len(vehicles), split),
         METRIC_VALUE: scored.values[row],
+        **dict(zip(points_columns(names), scored.seen.by_lidar[row], strict=True)),
     }
 
 
@@ -245,6 +261,13 @@ class BoxShares:
             "gain": float(after.mean() - before.mean()),
             "gain_interval_90": gain_90,
         }
+
+    def interval_90(self, flags: np.ndarray) -> list[float] | None:
+        """90 % interval of the share of boxes with a flag, (n,) bool."""
+        if self._seed is None:
+            return None
+        ends = share_interval_90(flags, self.before["vehicle_id"], self._block, self._seed, self.recording)
+        return ends and list(ends)
 
     def share_scores(self, rows: np.ndarray | slice = slice(None)) -> dict[str, object]:
         """The same of the mounting beside the baseline, by the names that result.json has beside other scores."""

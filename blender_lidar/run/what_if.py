@@ -12,7 +12,7 @@ import numpy as np
 
 from ..casting import BVH, EXACT
 from ..scene.deployment import SearchSpace
-from ..scene.mounting import Mounting, changed_mounting, mast_at
+from ..scene.mounting import Layout, Mounting, changed_mounting, mast_at
 from ..scene.observation import CountedFrame
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
@@ -51,7 +51,7 @@ def with_traffic(
     """
     step = _copies_from(site)
     road = site.scenario.road_map
-    anchor = float(road.locate(np.array([site.scenario.deployment.nominal_xy])).s_m[0])
+    anchor = float(road.locate(np.array([site.scenario.nominal_xy])).s_m[0])
     place = {"anchor_m": anchor, "road": road, "copies_from": step}
 
     def changed(number: int) -> CountedFrame:
@@ -177,8 +177,8 @@ _HIGHEST_M, _STEP_M = 12.0, 0.5
 _MORE_DEG = (0.0, 5.0, 10.0)  # than planned, as a higher LiDAR needs
 
 
-def other_traffic(site: Site, mounting: Mounting) -> dict[str, object]:
-    """Coverage of a mounting when other traffic drives, and what would repair it, as JSON holds it.
+def other_traffic(site: Site, layout: Layout) -> dict[str, object]:
+    """Coverage of a layout when other traffic drives, and what would repair it, as JSON holds it.
 
     Returns
     -------
@@ -186,20 +186,20 @@ def other_traffic(site: Site, mounting: Mounting) -> dict[str, object]:
         ``frames`` looked at; ``recorded`` and ``mixes``: ``what`` and its ``value``, ``lanes`` and ``lorries``,
         ``boxes``, ``distinct_vehicles``, ``detectable_share``, its ``interval_90``, and both of the latter ``by_lane``;
         and ``repair`` of lorries alone in the nearest lane where these, of ten vehicles or more, hide more than 2
-        points: see `_repair`.
+        points from a single LiDAR: see `_repair`. Lanes are the nearest to the first LiDAR.
     """
     few, seed = _judging(site), site.scenario.search.seed
-    whole = _coverage(with_traffic(few, lambda vehicles: vehicles), mounting)
+    whole = _coverage(with_traffic(few, lambda vehicles: vehicles), layout)
     rows, near = [], None
-    for mix in mixes(few, mounting.xy):
+    for mix in mixes(few, layout[0].xy):
         changed = mix.change(few, seed=seed)
         told = {"what": mix.what, "value": mix.value, "lanes": mix.lanes, "lorries": mix.lorries}
-        rows.append(told | _coverage(changed, mounting))
+        rows.append(told | _coverage(changed, layout))
         if near is None and mix.lorries == LORRY_SHARES[-1]:
             near = changed, rows[-1]
     (lorries, seen), enough, repair = near or (None, {}), (whole["detectable_share"] or 0.0) - REPAIRED, None
-    if seen.get("interval_90") and seen["detectable_share"] < enough:
-        repair = _repair(lorries, mounting, enough)
+    if seen.get("interval_90") and seen["detectable_share"] < enough and len(layout) == 1:
+        repair = _repair(lorries, layout[0], enough)
     return {"frames": len(few.holdout), "recorded": whole, "mixes": rows, "repair": repair}
 
 
@@ -218,7 +218,7 @@ def _judging(site: Site) -> Site:
     return replace(site, plan=replace(site.plan, **parts), search=(), holdout=tuple(frames[row] for row in kept))
 
 
-def _coverage(site: Site, mounting: Mounting) -> dict[str, object]:
+def _coverage(site: Site, layout: Layout) -> dict[str, object]:
     """What is detectable of the traffic of a site, with its interval, and by lane where lanes are known."""
     plan, seed = site.plan, site.scenario.search.seed
     if not any(frame.counted.any() for frame in site.holdout):
@@ -227,7 +227,7 @@ def _coverage(site: Site, mounting: Mounting) -> dict[str, object]:
             "interval_90": None,
             "by_lane": {},
         }
-    table = vehicle_table((mounting,), holdout=Evaluator(site.holdout, site.observation, site.scoring))
+    table = vehicle_table(layout, holdout=Evaluator(site.holdout, site.observation, site.scoring))
     at, vehicle = np.searchsorted(plan.holdout, table["frame"]), table["vehicle_id"] % _copies_from(site)
 
     def seen(rows: np.ndarray | slice) -> dict[str, object]:
@@ -314,8 +314,10 @@ ON_A_BOUND = 0.01  # of the width between two bounds: a search that reflects the
 _BESIDE_DEG = (-4.0, -2.0, 0.0, 2.0, 4.0)
 
 
-def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, mounting: Mounting) -> dict | None:
+def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, layout: Layout) -> dict | None:
     """What a metre more than allowed would gain: None unless the best height lies on its upper bound.
+
+    It is about the one LiDAR of the space that is searched.
 
     Of a few tilts about the planned one, the best on the searched frames is judged as a run's own mounting is.
 
@@ -329,17 +331,20 @@ def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, mounting: M
     if "height_m" not in bounds:
         return None
     low, high = bounds["height_m"]
+    number = space.slots.index(space.places[0])
+    mounting = layout[number]
     if mounting.height_m < high - ON_A_BOUND * (high - low):
         return None
     higher = [
         changed_mounting(mounting, site.scenario.road_map, height_m=mounting.height_m + 1.0, **{axis: tilt})
         for tilt in _tilts_beside(mounting, axis, bounds, _BESIDE_DEG)
     ]
-    best = higher[int(np.argmax(evaluator.totals([(one,) for one in higher]).objective.sum(axis=1)))]
-    layouts, seed = {"optimised": (best,), BASELINE_NAME: (mounting,)}, site.scenario.search.seed
+    raised = [(*layout[:number], one, *layout[number + 1 :]) for one in higher]
+    best = int(np.argmax(evaluator.totals(raised).objective.sum(axis=1)))
+    layouts, seed = {"optimised": raised[best], BASELINE_NAME: layout}, site.scenario.search.seed
     verdict, judging = judge(site, layouts, evaluator, seed)["optimised"], evaluator.held_out
     if verdict["holdout"] is None:
         split, seed, judging = "search", None, evaluator
     after, before = vehicle_tables(list(layouts.values()), **{split: judging})
     shares = BoxShares.of_split(before, after, split, site.plan, seed).share_scores()
-    return {"deployment": best.as_table(), **(verdict["holdout"] or verdict), **shares}
+    return {"deployment": higher[best].as_table(), **(verdict["holdout"] or verdict), **shares}

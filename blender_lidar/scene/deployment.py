@@ -182,6 +182,11 @@ class Place:
         return self.bounds.get(key) or (self.fixed[key],) * 2
 
     @property
+    def xy(self) -> tuple[float, float] | None:
+        """Where its mast stands [m]; None where that is searched."""
+        return None if {"x_m", "y_m"} & self.bounds.keys() else (self.fixed["x_m"], self.fixed["y_m"])
+
+    @property
     def label(self) -> str:
         """What it is called among other candidate places; nothing where there is one place."""
         return "" if self.pole is None else f"pole {self.pole.name}"
@@ -206,22 +211,33 @@ def facing_deg(xy: Sequence[float], towards: Sequence[float]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class SearchSpace:
-    """Search space: the free coordinates of all LiDARs of a layout, one after the other.
+    """Search space: the free coordinates of all LiDARs of a layout that are searched, one after the other.
 
     Which of several candidate poles a LiDAR hangs on is an outer choice and no coordinate: each has a space of its own.
 
     Attributes
     ----------
-    places : tuple of Place
-        One for each LiDAR.
+    slots : tuple of Place, Mounting or None
+        For each LiDAR where it is searched, the mounting in which it is held, or None where it is left out.
+    names : tuple of str
+        Names of the LiDARs, which stand before their coordinates where more than one is searched.
     """
 
-    places: tuple[Place, ...]
+    slots: tuple[Place | Mounting | None, ...]
+    names: tuple[str, ...] = ()
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Of the LiDARs that are searched."""
+        return tuple(slot for slot in self.slots if isinstance(slot, Place))
 
     @property
     def variables(self) -> tuple[str, ...]:
         """Names of the searched coordinates."""
-        return tuple(key for place in self.places for key in place.bounds)
+        if len(self.places) == 1:
+            return tuple(self.places[0].bounds)
+        named = zip(self.names or [""] * len(self.slots), self.slots, strict=True)
+        return tuple(variable_of(name, key) for name, slot in named if isinstance(slot, Place) for key in slot.bounds)
 
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
@@ -239,8 +255,8 @@ class SearchSpace:
     @property
     def periodic(self) -> tuple[bool, ...]:
         """Which searched coordinates are full circles, on which neither bound is an end."""
-        named = zip(self.variables, self.bounds, strict=True)
-        return tuple(key in TURNS and high - low == 360.0 for key, (low, high) in named)
+        keys = (key for place in self.places for key in place.bounds)
+        return tuple(key in TURNS and high - low == 360.0 for key, (low, high) in zip(keys, self.bounds, strict=True))
 
     @property
     def axes(self) -> tuple[str, str]:
@@ -250,10 +266,18 @@ class SearchSpace:
     def layout(self, x: Sequence[float]) -> Layout:
         """The mountings at a point `x` (d,) of the space [m, degrees]."""
         values, mountings = list(x), []
-        for place in self.places:
-            mountings.append(place.mounting(values[: len(place.bounds)]))
-            values = values[len(place.bounds) :]
+        for slot in self.slots:
+            if isinstance(slot, Place):
+                mountings.append(slot.mounting(values[: len(slot.bounds)]))
+                values = values[len(slot.bounds) :]
+            else:
+                mountings.append(slot)
         return tuple(mountings)
+
+
+def variable_of(name: str, key: str) -> str:
+    """What a coordinate of a named LiDAR is called: ``north.height_m``; without a name the coordinate itself."""
+    return f"{name}.{key}" if name else key
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,13 +354,13 @@ class Deployment:
         bounds = {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds}
         return Place(fixed, bounds, self.road, pole, self.map, towards)
 
-    def pole_named(self, name: str) -> Pole:
-        """The candidate pole of that name; `InputError`, naming ``--pole``, where there is none."""
+    def pole_named(self, name: str, where: str = "--pole") -> Pole:
+        """The candidate pole of that name; `InputError`, with `where` the name was given, where there is none."""
         poles = {pole.name: pole for pole in self.poles}
         if not poles:
-            raise InputError(f"--pole: is {shown(name)}, but the scene has no [deployment] poles")
+            raise InputError(f"{where}: is {shown(name)}, but the scene has no [deployment] poles")
         if name not in poles:
-            raise unknown_name(name, poles, "pole", "--pole")
+            raise unknown_name(name, poles, "pole", where)
         return poles[name]
 
     def on_pole(self, pole: Pole) -> Deployment:
@@ -344,6 +368,19 @@ class Deployment:
         place = self.at(pole)
         faces_road = self.faces_road and pole.facing_deg is None
         return replace(self, fixed=place.fixed, bounds=place.bounds, poles=(), poles_file=None, faces_road=faces_road)
+
+    def as_table(self) -> dict[str, object]:
+        """The keys of [deployment] that it was read from, spelt out."""
+        table = {**self.fixed, **self.bounds}
+        if self.faces_road:
+            table.pop("facing_deg", None)
+        if self.side is not None:
+            table |= {key: getattr(self, key) for key in ("side", "clearance_m")}
+        if self.poles:
+            for key in ("x_m", "y_m"):
+                del table[key]
+            table["poles"] = self.poles_file
+        return table
 
     @property
     def places(self) -> tuple[Place, ...]:

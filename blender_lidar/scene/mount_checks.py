@@ -68,12 +68,14 @@ def check_mount_is_clear(
         Naming the place, and the lane's edges, the box, or the vehicle and frame.
     """
     if mounts is None:
-        poles_file = scenario.deployment.poles_file
-        mounts = {
-            f"{poles_file}: pole {place.pole.name!r}" if place.pole else scenario.where("deployment", "x_m, y_m"): place
-            for place in scenario.deployment.places
-        }
-        mounts[scenario.where("baseline", "x_m, y_m")] = scenario.baseline
+        for one in scenario.each:
+            poles_file, where = one.deployment.poles_file, one.where("deployment", "x_m, y_m")
+            asked = {
+                f"{poles_file}: pole {place.pole.name!r}" if place.pole else where: place
+                for place in one.deployment.places
+            }
+            check_mount_is_clear(one, frames, {**asked, one.where("baseline", "x_m, y_m"): one.baseline})
+        return
     barriers = (boxes_around(barrier, scenario.road_map) for barrier in scenario.world.barriers)
     solids = [*scenario.world.boxes, *itertools.chain.from_iterable(barriers)]
     frames = [frame.select(frame.class_index != PEDESTRIAN) for frame in frames]  # who walk give way to masts
@@ -186,6 +188,10 @@ _USUAL_HEIGHTS = "(usual: 2 to 12, a gantry or a lamp): metres above the road?"
 
 def mount_notes(scenario: Scenario, given: Sequence[Mounting] = ()) -> Iterator[str]:
     """What is suspicious of mountings and sensor and may be right, as sentences; `given` are those given by hand."""
+    if scenario.further_lidars:
+        for number, one in enumerate(scenario.each):
+            yield from (f"{one.lidar_name}: {note}" for note in mount_notes(one, given[number : number + 1]))
+        return
     deployment = scenario.deployment
     asked = [("the mounting", one.as_table()) for one in given] or [("[deployment]", deployment.fixed)]
     for name, table in (*asked, ("[baseline]", scenario.baseline.as_table())):

@@ -133,13 +133,13 @@ class Mounting:
         return {**table, **dict(zip(LEANS, (lean, *turns), strict=True))}
 
 
-Layout = tuple[Mounting, ...]
-"""One mounting for each LiDAR of a scene, in its order."""
+Layout = tuple[Mounting | None, ...]
+"""One mounting for each LiDAR of a scene, in its order; None where that LiDAR is left out."""
 
 
-def poses_of(layout: Layout) -> tuple[Pose, ...]:
-    """Where the sensors of a layout are."""
-    return tuple(mounting.pose for mounting in layout)
+def poses_of(layout: Layout) -> tuple[Pose | None, ...]:
+    """Where the sensors of a layout are; None where one is left out."""
+    return tuple(None if mounting is None else mounting.pose for mounting in layout)
 
 
 def mast_at(road: RoadMap, x_m: float, y_m: float, facing_rad: float = _SQUARE) -> Mast:

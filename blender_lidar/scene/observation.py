@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,6 +62,10 @@ class Observation:
     def with_lidar(self, **changes) -> Observation:
         """The same with another LiDAR in place of the one."""
         return replace(self, lidars=(replace(self.lidar, **changes),))
+
+    def with_lattices(self, change: Callable[[BeamLattice], BeamLattice]) -> Observation:
+        """The same with the beams of every LiDAR changed."""
+        return replace(self, lidars=tuple(replace(one, lattice=change(one.lattice)) for one in self.lidars))
 
     def at(self, time_s: float) -> Observation:
         """The same at a moment [s], with those who walk along the roadsides where they are then."""

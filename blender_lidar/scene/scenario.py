@@ -18,17 +18,17 @@ from ..optimise import SEARCHES, DePso, DePsoSettings, GridSearch, search_named
 from ..road.mapped import MappedRoad, Road
 from ..road.road_map import RoadMap
 from ..road.straight import StraightRoad
-from ..sensors.model import LidarModel, load_model, unit_of, with_columns
-from ..toml_table import TomlTable, checked, read_toml, settings_of
+from ..toml_table import TomlTable, read_toml, settings_of
 from ..traffic.frames import DEFAULT_COUNT
 from ..traffic.presets import meta_files
+from ..traffic.vehicles import counted
 from .deployment import Deployment
-from .mounting import MOUNTED, Mounting, mounting_from
+from .lidars import OF_ANY_MODEL, HungLidar, baselines_from, deployments_from, lidar_where, sensor_from
+from .mounting import MOUNTED, Layout, Mounting, mounting_from
 from .places import baseline_from, deployment_from
 from .region import check_mapped, check_polygon, region_of
 from .roads import road_from, road_map_from
 from .settings import (
-    DATASHEET,
     DECLARED,
     GATE,
     ModelSettings,
@@ -40,12 +40,11 @@ from .settings import (
     Tolerance,
     TrafficSettings,
     WorldSettings,
-    is_sensor_file,
 )
 
+LEAST_BUDGET = 30  # evaluations for each coordinate of a LiDAR among several
 _FEW_COORDINATES, _SEEDS = 2, 3  # with more of them so many searches: one alone may end anywhere
 _DE_PSO_ALONE = ("inertia", "differential_weight", "cognitive", "social", "differential_threshold")
-_OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
 _OF_ONE_RECORDING = ("name", "weight", "path", "vehicle_types", "period", "location", "frame_ids")
 _FILES = ("world", "blend"), ("world", "mesh")
 _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold adds what the metric gives it
@@ -65,6 +64,10 @@ class Scenario:
         The recording, of several the first.
     further_traffic : tuple of TrafficSettings
         The others.
+    sensor, deployment, baseline, lidar_name
+        Of the LiDAR, of several the first.
+    further_lidars : tuple of HungLidar
+        The others.
     """
 
     source: str
@@ -81,6 +84,48 @@ class Scenario:
     plan: PlanSettings
     where: Callable[[str, str], str] = field(repr=False, compare=False)
     further_traffic: tuple[TrafficSettings, ...] = ()
+    lidar_name: str = ""
+    further_lidars: tuple[HungLidar, ...] = ()
+
+    @property
+    def lidars(self) -> tuple[HungLidar, ...]:
+        """All LiDARs of a layout, in their order."""
+        return HungLidar(self.lidar_name, self.sensor, self.deployment, self.baseline), *self.further_lidars
+
+    @property
+    def each(self) -> tuple[Scenario, ...]:
+        """The same scene with each of its LiDARs alone."""
+        return tuple(self.alone(number) for number in range(len(self.lidars)))
+
+    def alone(self, number: int) -> Scenario:
+        """The same scene with one of its LiDARs alone, counted from 0."""
+        if not self.further_lidars:
+            return self
+        lidar = self.lidars[number]
+        kept = {key: getattr(lidar, key) for key in ("sensor", "deployment", "baseline")}
+        where = partial(lidar_where, self.where, number + 1)
+        return replace(self, **kept, lidar_name=lidar.name, further_lidars=(), where=where)
+
+    @property
+    def baselines(self) -> Layout:
+        """The baseline of every LiDAR."""
+        return tuple(lidar.baseline for lidar in self.lidars)
+
+    @property
+    def nominal_xy(self) -> tuple[float, float]:
+        """The mount's place [m], or the middle of where LiDARs may be."""
+        if not self.further_lidars:
+            return self.deployment.nominal_xy
+        ends = [
+            [end for lidar in self.lidars for place in lidar.deployment.places for end in place.span(key)]
+            for key in ("x_m", "y_m")
+        ]
+        return tuple(0.5 * (min(one) + max(one)) for one in ends)
+
+    @property
+    def range_gate_m(self) -> float:
+        """The range gate, of several LiDARs the largest [m]."""
+        return max(lidar.sensor.range_gate_m for lidar in self.lidars)
 
     @property
     def recordings(self) -> tuple[TrafficSettings, ...]:
@@ -123,36 +168,42 @@ class Scenario:
                 named |= {(table, f"meta {one.name}"): str(one) for one in found}
             for number, path in enumerate(recording.vehicle_types or (), start=1):
                 named[table, "vehicle_types" if number == 1 else f"vehicle_types {number}"] = path
-        named["deployment", "poles"] = self.deployment.poles_file
         if isinstance(self.road, MappedRoad) and self.road.path:
             named["road", "net" if self.road.net else "opendrive"] = self.road.path
         named["plan", "image"] = self.plan.image
-        if self.sensor.is_file:
-            named["sensor", "name"] = self.sensor.name
+        if not self.lidar_name:
+            named["deployment", "poles"] = self.deployment.poles_file
+            named["sensor", "name"] = self.sensor.name if self.sensor.is_file else None
+        for table, lidar in zip(self._lidar_tables, self.lidars if self.lidar_name else (), strict=False):
+            named[table, "poles"] = lidar.deployment.poles_file
+            named[table, "sensor"] = lidar.sensor.name if lidar.sensor.is_file else None
         return {place: path for place, path in named.items() if path is not None}
 
     @property
     def _traffic_tables(self) -> list[str]:
         return ["traffic", *(f"traffic {number}" for number in range(2, len(self.recordings) + 1))]
 
+    @property
+    def _lidar_tables(self) -> list[str]:
+        return ["lidar", *(f"lidar {number}" for number in range(2, len(self.lidars) + 1))]
+
     def as_tables(self) -> dict[str, dict]:
         """The scene as used, in the layout of a scene file: reading it again gives this scene.
 
-        Of several recordings the second table is called "traffic 2".
+        Of several recordings the second table is called "traffic 2", and so of [[lidar]].
         """
         kinds = ("road", "world", "sensor", "region", "objective", "search", "model", "plan")
         tables = dict(zip(self._traffic_tables, map(asdict, self.recordings), strict=True))
         tables |= {name: asdict(getattr(self, name)) for name in kinds}
-        tables["baseline"] = {key: self.baseline.as_table()[key] for key in MOUNTED}
-        tables["deployment"] = {**self.deployment.fixed, **self.deployment.bounds}
-        if self.deployment.faces_road:
-            tables["deployment"].pop("facing_deg", None)
-        if self.deployment.side is not None:
-            tables["deployment"] |= {key: getattr(self.deployment, key) for key in ("side", "clearance_m")}
-        if self.deployment.poles:
-            for key in ("x_m", "y_m"):
-                del tables["deployment"][key]
-            tables["deployment"]["poles"] = self.deployment.poles_file
+        if not self.lidar_name:
+            tables["baseline"] = {key: self.baseline.as_table()[key] for key in MOUNTED}
+            return {**tables, "deployment": self.deployment.as_table()}
+        sensors = {lidar.sensor.name: asdict(lidar.sensor) for lidar in self.lidars}
+        own = {name: {key: of[key] for key in of if key not in OF_ANY_MODEL} for name, of in sensors.items()}
+        tables["sensor"] = {key: tables["sensor"][key] for key in OF_ANY_MODEL} | own
+        for name, lidar in zip(self._lidar_tables, self.lidars, strict=True):
+            baseline = {key: lidar.baseline.as_table()[key] for key in MOUNTED}
+            tables[name] = {**lidar.as_table(), "baseline": baseline}
         return tables
 
     def with_whole_paths(self) -> dict[str, dict]:
@@ -167,8 +218,14 @@ class Scenario:
                 continue
             whole, before = str(Path(path).resolve()), tables[table][key] if number else []
             tables[table][key] = [*before, whole] if key == "vehicle_types" else whole
+            if (table, key) == ("lidar", "sensor") or (table.startswith("lidar ") and key == "sensor"):
+                tables["sensor"][whole] = tables["sensor"].pop(path, tables["sensor"].get(whole))
+                if tables["sensor"]["name"] == path:
+                    tables["sensor"]["name"] = whole
         traffic = [tables.pop(name) for name in self._traffic_tables]
-        return {"traffic": traffic if len(traffic) > 1 else traffic[0], **tables}
+        lidars = [tables.pop(name) for name in self._lidar_tables if name in tables]
+        tables = {"traffic": traffic if len(traffic) > 1 else traffic[0], **tables}
+        return {**tables, "lidar": lidars} if lidars else tables
 
 
 Overrides = Mapping[tuple[str, str], tuple[object, str]]
@@ -245,41 +302,61 @@ def scenario_of(
     for name in tables:
         if name not in DECLARED:
             raise unknown_name(name, DECLARED, "table", source)
-    where, overrides = where or partial(_in_file, source), overrides or {}
+    where, overrides, given = where or partial(_in_file, source), overrides or {}, "lidar" in tables
     of_file = _tables(tables, {}, where, folder)
     tables = _tables(tables, overrides, where, folder)
     traffic, *further = _recordings([table for name, table in tables.items() if name.split()[0] == "traffic"])
-    road, sensor = road_from(tables["road"]), _sensor(tables["sensor"])
+    road, hung = road_from(tables["road"]), [table for name, table in tables.items() if name.split()[0] == "lidar"]
     road_map = road_map_from(tables["road"], road, [traffic, *further])
-    deployment = deployment_from(tables["deployment"], road, road_map)
-    region = _region(tables["region"], sensor, of_file, overrides, road_map)
+    if given:
+        if tables["deployment"].values:
+            raise InputError(
+                f"{tables['deployment'].name}: is given beside [[lidar]]; allowed: its keys in each [[lidar]]"
+            )
+        names, sensors, deployments = zip(*deployments_from(hung, tables["sensor"], road, road_map), strict=True)
+    else:
+        names, sensors = [""], [sensor_from(tables["sensor"])]
+        deployments = [deployment_from(tables["deployment"], road, road_map)]
+    if len(names) > 1:
+        _check_region_of_several(tables["region"])
+    region = _region(tables["region"], sensors[0], of_file, overrides, road_map)
     if not isinstance(road, StraightRoad):
-        deployment = replace(deployment, middle_xy=region_of(region, road_map).centre_xy)
+        middle_xy = region_of(region, road_map).centre_xy
+        deployments = [replace(one, middle_xy=middle_xy) for one in deployments]
     objective = _objective(tables["objective"])
-    if deployment.poles and objective.tolerance is not None:
+    if any(one.poles for one in deployments) and objective.tolerance is not None:
         where = tables["objective"].where("tolerance")
         raise InputError(f"{where}: is given beside [deployment] poles; allowed: candidate places that hang as planned")
-    search = _search(tables["search"], deployment, several=objective.tolerance is None)
+    if given:
+        baselines = baselines_from(tables["baseline"], hung, deployments, region)
+    else:
+        baselines = [baseline_from(tables["baseline"], deployments[0], region)]
+    lidars = list(map(HungLidar, names, sensors, deployments, baselines))
+    search = _search(tables["search"], lidars, several=objective.tolerance is None)
     if search.fidelity == "auto" and objective.tolerance is not None:
         raise InputError(
             f'{tables["search"].where("fidelity")}: "auto" searches mountings that hang as planned, but '
             f'{tables["objective"].where("tolerance")} is given; allowed: fidelity = "full", or no tolerance'
         )
+    if given and len(lidars) == 1:
+        where = partial(lidar_where, where, 1)
     return Scenario(
         source=source,
         where=where,
         traffic=traffic,
         road=road,
         world=_world(tables["world"], road),
-        sensor=sensor,
-        deployment=deployment,
+        sensor=lidars[0].sensor,
+        deployment=lidars[0].deployment,
         region=region,
-        baseline=baseline_from(tables["baseline"], deployment, region),
+        baseline=lidars[0].baseline,
         objective=objective,
         search=search,
         model=_model(tables["model"]),
         plan=_plan(tables["plan"]),
         further_traffic=tuple(further),
+        lidar_name=lidars[0].name,
+        further_lidars=tuple(lidars[1:]),
     )
 
 
@@ -288,19 +365,35 @@ def _tables(
 ) -> dict[str, TomlTable]:
     """The tables of a scene, options in place of the settings that they replace or put out of force.
 
-    Of several recordings, [[traffic]], the second table is called "traffic 2".
+    Of several recordings, [[traffic]], the second table is called "traffic 2", and so of [[lidar]].
     """
     tables = {}
     for name in DECLARED:
         given = {key: option for (table, key), option in overrides.items() if table == name}
         contents = values.get(name, {})
-        several = name == "traffic" and isinstance(contents, list) and len(contents) > 0
-        if several and len(contents) > 1:
+        several = name in ("traffic", "lidar") and isinstance(contents, list) and len(contents) > 0
+        if name == "lidar" and name in values and not several:
+            found = "a list without one" if contents == [] else shown(contents)
+            raise InputError(f"{where(name, '')}: is {found}; allowed: [[lidar]], one or more tables")
+        if several and len(contents) > 1 and name == "traffic":
             _check_for_all(given, len(contents))
         for number, content in enumerate(contents if several else [contents], start=1):
             called = partial(where, f"{name} {number}" if several else name)
             tables[name if number == 1 else f"{name} {number}"] = _table(name, content, called, given, folder)
     return tables
+
+
+def _check_region_of_several(table: TomlTable) -> None:
+    """Refuse a circle that a LiDAR would say, where there are several: none of them changes where vehicles count."""
+    forms = ("polygon_m", "stretches", "junction", "approaches", "lanes")
+    if any(table.values.get(key) for key in forms):
+        return
+    missing = [key for key in ("centre_m", "radius_m") if table.values.get(key) in (None, GATE)]
+    if missing:
+        raise InputError(
+            f"{table.where(missing[0])}: must be given with several LiDARs, none of which may change where vehicles "
+            "count; such as: [region] centre_m = [0, 20], radius_m = 50, or a junction of the map"
+        )
 
 
 def _check_for_all(given: Mapping[str, tuple[object, str]], recordings: int) -> None:
@@ -378,7 +471,7 @@ def _region(
         radius = sensor.range_gate_m
     elif radius is None:
         changed = any(place[0] == "sensor" for place in overrides)
-        radius = (_sensor(of_file["sensor"]) if changed else sensor).range_gate_m
+        radius = (sensor_from(of_file["sensor"]) if changed else sensor).range_gate_m
     return replace(region, centre_m=centre, radius_m=radius)
 
 
@@ -421,51 +514,6 @@ def _world(table: TomlTable, road: Road) -> WorldSettings:
     return replace(world, boxes=tuple(named))
 
 
-def _sensor(table: TomlTable) -> SensorSettings:
-    """[sensor], and the table of the chosen model within it, whose keys count over the general ones."""
-    declared = DECLARED["sensor"]
-    of_models = {key: table.table(key) for key, value in table.values.items() if isinstance(value, Mapping)}
-    general = {key: value for key, value in table.values.items() if key not in of_models}
-    table = TomlTable(general, table.name, table.origins, table.folder, table.called)
-    name, model = _model_named(table, "name", table.read(declared)["name"])
-    for key, own in of_models.items():
-        own.read({key: one for key, one in declared.items() if key not in _OF_ANY_MODEL})
-        if _model_named(table, key, key)[1].name == model.name:
-            kept = {key: value for key, value in own.values.items() if key not in table.origins}
-            origins = {key: own.where(key) for key in kept} | table.origins
-            table = TomlTable({**general, **kept}, table.name, origins, table.folder, table.called)
-    found = table.read(declared)
-    for key in ("range_noise_m", "range_at_10_percent_m"):
-        if found[key] == DATASHEET:
-            found[key] = getattr(model, key)
-            if found[key] is None:
-                raise InputError(f"{table.where(key)}: no source gives that of {model.name}; allowed: a number")
-            checked(found[key], declared[key], f"{table.where(key)}: {model.name}")
-    found["range_gate_m"] = gate = found["range_gate_m"] or model.range_max_m
-    if not model.range_min_m < gate <= model.range_max_m:
-        allowed = f"more than {model.range_min_m:g}, at most {model.range_max_m:g}"
-        raise InputError(f"{table.where('range_gate_m')}: is {gate}; allowed for {model.name}: {allowed}")
-    key = "columns"
-    try:
-        model = with_columns(model, found[key])
-        found[key], key = model.default_columns, "rotation_hz"
-        found[key] = model.rotation_rate(found[key])
-        key = "unit_spread_deg"
-        unit_of(model, found[key], found["unit"])
-    except InputError as error:
-        raise InputError(f"{table.where(key)}: {error}") from error
-    return SensorSettings(**found | {"name": name if is_sensor_file(name) else model.name})
-
-
-def _model_named(table: TomlTable, key: str, name: str) -> tuple[str, LidarModel]:
-    """The model that `key` names, by its name or the path of a beam table, and that name or path."""
-    name = table.path(key, name) if is_sensor_file(name) else name
-    try:
-        return name, load_model(name)
-    except (MissingFileError, InputError) as error:
-        raise type(error)(f"{table.where(key)}: {error}") from error
-
-
 def _objective(table: TomlTable) -> ObjectiveSettings:
     objective = table.read_as(ObjectiveSettings)
     metric_named(objective.metric, table.where("metric"))
@@ -486,16 +534,21 @@ def _objective(table: TomlTable) -> ObjectiveSettings:
     return objective
 
 
-def _search(table: TomlTable, deployment: Deployment, *, several: bool) -> SearchSettings:
+def _search(table: TomlTable, lidars: Sequence[HungLidar], *, several: bool) -> SearchSettings:
     """[search]; `several` says whether nothing else speaks against several searches with their own seeds."""
     search = table.read_as(SearchSettings)
-    several &= search.fidelity == "full" and search.method != GridSearch.name
+    if len(lidars) > 1 and search.fidelity != "full":
+        raise InputError(
+            f"{table.where('fidelity')}: is {search.fidelity!r} with {len(lidars)} LiDARs; allowed: full, as a move of "
+            "one LiDAR costs one cast already"
+        )
+    several &= search.fidelity == "full" and search.method != GridSearch.name and len(lidars) == 1
     if (search.seeds or 1) > 1 and not several:
         raise InputError(
             f"{table.where('seeds')}: is {search.seeds}; allowed: 1 with a tolerance, with fidelity = "
-            '"auto", and with a grid, which draws nothing'
+            '"auto", with several LiDARs, and with a grid, which draws nothing'
         )
-    most = max(len(place.bounds) for place in deployment.places)
+    most = max(len(place.bounds) for lidar in lidars for place in lidar.deployment.places)
     usual = _SEEDS if several and most > _FEW_COORDINATES else 1
     search = replace(search, seeds=search.seeds or usual)
     if search.method not in SEARCHES:
@@ -508,6 +561,12 @@ def _search(table: TomlTable, deployment: Deployment, *, several: bool) -> Searc
         raise InputError(
             f"{table.where(given[0])}: a setting of {DePso.name} alone, but the method is {search.method}; "
             f'allowed: method = "{DePso.name}", or leave it out'
+        )
+    least = LEAST_BUDGET * most
+    if len(lidars) > 1 and search.particles * search.iterations < least:
+        raise InputError(
+            f"{table.where('particles')}: {search.particles} x {search.iterations} iterations are too few evaluations "
+            f"for each LiDAR of {counted(most, 'searched coordinate')}; allowed: {least} or more"
         )
     corners = 2**most
     if search.method == GridSearch.name and search.particles * search.iterations < corners:

@@ -154,6 +154,8 @@ class SensorSettings:
         Number of the unit; where unit_spread_deg is not 0, each unit has slightly different beams.
     noise_seed : int
         Random seed of noise and lost returns.
+    price : float or None
+        What a sensor and its mounting cost, in any currency; told with the answer.
     """
 
     name: str = setting("RS-16", option="--sensor")
@@ -167,6 +169,7 @@ class SensorSettings:
     unit_spread_deg: float = setting(0.0, low=0.0, high=MOST_SPREAD_DEG, option="--unit-spread")
     unit: int = setting(1, low=0)
     noise_seed: int = setting(1, low=0)
+    price: float | None = setting(None, low=0.0)
 
     @property
     def is_file(self) -> bool:

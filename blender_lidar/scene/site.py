@@ -59,7 +59,7 @@ def read_scenery(scenario: Scenario, reach_m: float, given: Sequence[Mounting] =
         When it is one that Blender must read, and Blender is not installed.
     """
     world = scenario.world
-    centre = scenario.deployment.nominal_xy
+    centre = scenario.nominal_xy
     paths = [path for path in (world.blend, world.mesh) if path is not None]
     files = [_near(scenario, path, centre, reach_m) for path in paths]
     boxes = [box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg)) for item in world.boxes]
@@ -73,8 +73,9 @@ def read_scenery(scenario: Scenario, reach_m: float, given: Sequence[Mounting] =
 
 
 def _may_hang(scenario: Scenario, given: Sequence[Mounting]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Where LiDARs may hang, as corners x, y of rectangles [m]: what is searched, the baseline, mountings by hand."""
-    extents = map(extent, (*scenario.deployment.places, scenario.baseline, *given))
+    """Where LiDARs may hang, as corners x, y of rectangles [m]: what is searched, the baselines, mountings by hand."""
+    places = (place for lidar in scenario.lidars for place in lidar.deployment.places)
+    extents = map(extent, (*places, *scenario.baselines, *given))
     return [(low[:2], high[:2]) for low, high in extents]
 
 
@@ -159,8 +160,6 @@ class Site:
     ----------
     scenario : Scenario
         The settings.
-    model : LidarModel
-        The sensor, as the unit that hangs there.
     observation : Observation
         Sensor, range, caster and detail.
     scoring : Scoring
@@ -176,7 +175,6 @@ class Site:
     """
 
     scenario: Scenario
-    model: LidarModel
     observation: Observation
     scoring: Scoring
     recording: Recording
@@ -184,6 +182,19 @@ class Site:
     search: tuple[CountedFrame, ...]
     holdout: tuple[CountedFrame, ...]
     identity: dict[str, object]
+
+    @property
+    def model(self) -> LidarModel:
+        """The sensor of a layout of one, as the unit that hangs there."""
+        return self.observation.lattice.model
+
+    @property
+    def each(self) -> tuple[Site, ...]:
+        """The same site with each of its LiDARs alone."""
+        lidars = zip(self.scenario.each, self.observation.lidars, strict=True)
+        return tuple(
+            replace(self, scenario=one, observation=replace(self.observation, lidars=(lidar,))) for one, lidar in lidars
+        )
 
     @property
     def region(self) -> Region:
@@ -226,10 +237,10 @@ def prepare(
         When a file cannot be read or changes meanwhile, no vehicle is in the region, or the mount would stand in
         traffic.
     """
-    objective, sensor = scenario.objective, scenario.sensor
+    objective = scenario.objective
     caster = resolve(scenario.model.caster, "caster")
     with unchanged_inputs(scenario):
-        lattice, recordings = lattice_of(sensor), recordings or read_recordings(scenario)
+        lidars, recordings = lidars_of(scenario), recordings or read_recordings(scenario)
         standing = standing_scenery(scenario, caster, given, scenery)
         identity = run_identity(scenario, caster, standing and standing.scenery.digest)
     region = region_of(scenario.region, scenario.road_map)
@@ -249,8 +260,9 @@ def prepare(
     recording, plan = joined_recordings(recordings, names), joined_plans(plans, recordings, names)
     frames = [recording.vehicles(frame) for frame in (*plan.search, *plan.holdout)]
     check_mount_is_clear(scenario, frames)
-    for mount in given:
-        check_mount_is_clear(scenario, frames, {"--x, --y": mount})
+    hosts = scenario.each if len(given) == len(scenario.lidars) else [scenario] * len(given)
+    for host, mount in zip(hosts, given, strict=True):
+        check_mount_is_clear(host, frames, {"--x, --y": mount})
     reach = reach_of(scenario, given)
     searched = tuple(_counted(frame, region, reach, objective) for frame in frames[: len(plan.search)])
     held_out = tuple(
@@ -270,8 +282,8 @@ def prepare(
     searched = _weighted(searched, plan.search_recording, scenario)
     held_out = _weighted(held_out, plan.holdout_recording, scenario)
     check_weights(objective, searched, held_out, scenario.where("objective", ""))
-    observation, scoring = observation_of(scenario, lattice, caster, standing), scoring_of(scenario)
-    return Site(scenario, lattice.model, observation, scoring, recording, plan, searched, held_out, identity)
+    observation, scoring = observation_of(scenario, caster, standing, lidars), scoring_of(scenario)
+    return Site(scenario, observation, scoring, recording, plan, searched, held_out, identity)
 
 
 def _check_classes(recording: Recording, scenario: Scenario) -> None:
@@ -302,17 +314,27 @@ def _out_of_range(scenario: Scenario, given: Sequence[Mounting], searched: Seque
     Raises
     ------
     InputError
-        Where no mount of a search could see any.
+        Where no mount of a search could see any, or none of one LiDAR's.
     """
-    gate = scenario.sensor.range_gate_m
     xy = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in searched])
     half = 0.5 * np.concatenate([frame.vehicles.size_m[frame.counted, 0] for frame in searched])
-    away = []
-    for low, high in map(extent, given or scenario.deployment.places):
-        away.append(np.hypot(*np.maximum(np.maximum(low[:2] - xy, xy - high[:2]), 0.0).T))
-    share = (np.min(away, axis=0) - half > gate).mean()
+    beyond, several = np.ones(len(xy), dtype=bool), bool(scenario.further_lidars)
+    for number, one in enumerate(scenario.each):
+        mounts = given[number : number + 1] if several and given else given or one.deployment.places
+        away = [np.maximum(np.maximum(low[:2] - xy, xy - high[:2]), 0.0) for low, high in map(extent, mounts)]
+        own = np.min([np.hypot(*off.T) for off in away], axis=0) - half > one.range_gate_m
+        beyond &= own
+        if several and own.all():
+            place = "x {:.6g}, y {:.6g} m".format(*(given[number].xy if given else one.deployment.nominal_xy))
+            raise InputError(
+                f"{one.where('deployment', '')}: LiDAR {one.lidar_name} at {place} has no box that counts in the "
+                f"searched frames within its range gate of {one.range_gate_m:g} m, and can never see any; check "
+                "[region], range_gate_m and its place"
+            )
+    share = beyond.mean()
     if share <= usual.SOME:
         return None
+    gate = scenario.range_gate_m
     said = f"{100 * share:.0f} % of the boxes that count in the searched frames lie beyond the range gate of {gate:g} m"
     check = "check [region], [sensor] range_gate_m and [deployment] x_m and y_m"
     if share == 1.0 and not given:
@@ -320,13 +342,27 @@ def _out_of_range(scenario: Scenario, given: Sequence[Mounting], searched: Seque
     return f"{said} from any mount, and count as missed; {check}"
 
 
+def lidars_of(scenario: Scenario) -> tuple[Lidar, ...]:
+    """What hangs in a scene: beams, range gate and imperfections of each LiDAR."""
+    lattices = {lidar.sensor: lattice_of(lidar.sensor) for lidar in scenario.lidars}
+    return tuple(
+        Lidar(
+            lattices[one.sensor],
+            one.sensor.range_gate_m,
+            lattices[one.sensor].model.range_min_m,
+            one.sensor.imperfections,
+            one.name,
+        )
+        for one in scenario.lidars
+    )
+
+
 def observation_of(
-    scenario: Scenario, lattice: BeamLattice, caster: str, scenery: StandingScenery | None
+    scenario: Scenario, caster: str, scenery: StandingScenery | None, lidars: Sequence[Lidar] | None = None
 ) -> Observation:
-    """How a scene's sensor sees vehicles."""
-    sensor = scenario.sensor
+    """How a scene's LiDARs see vehicles; `lidars` are those of `lidars_of`, where they are made already."""
     return Observation(
-        (Lidar(lattice, sensor.range_gate_m, lattice.model.range_min_m, sensor.imperfections),),
+        tuple(lidars or lidars_of(scenario)),
         caster=caster,
         detail=scenario.world.detail,
         cell_m=scenario.objective.cell_m,
@@ -368,8 +404,9 @@ def standing_scenery(
     flat = scenario.road_map.surface.is_flat or not scenario.world.ground
     if flat and not scenario.world.has_scenery and (more is None or not len(more)):
         return None
-    sensor, centre = scenario.sensor, scenario.deployment.nominal_xy
-    reach = sensor.range_gate_m + sensor.imperfections.most_noise_m + _travel(scenario, given, centre) + margin_m
+    centre = scenario.nominal_xy
+    reach = max(lidar.sensor.range_gate_m + lidar.sensor.imperfections.most_noise_m for lidar in scenario.lidars)
+    reach += _travel(scenario, given, centre) + margin_m
     scenery = read_scenery(scenario, reach, given)
     world, clear = scenario.world, _may_hang(scenario, given)
     walkers = Walkers(scenario.road_map, world.clutter, world.clutter_seed, clear) if world.clutter else None
@@ -482,7 +519,7 @@ def _weighted(frames: Sequence[CountedFrame], recording: np.ndarray, scenario: S
 def reach_of(scenario: Scenario, given: Sequence[Mounting] = ()) -> float:
     """How far from the middle of the region vehicles count, or matter to a mounting [m]."""
     region = region_of(scenario.region, scenario.road_map)
-    seen = scenario.sensor.range_gate_m + _VIEW_SLACK_M + _travel(scenario, given, region.centre_xy)
+    seen = scenario.range_gate_m + _VIEW_SLACK_M + _travel(scenario, given, region.centre_xy)
     return max(seen, region.radius_m)
 
 

@@ -101,6 +101,7 @@ class CompiledScorer:
         boxes = Boxes(centre, np.cos(heading), np.sin(heading), *of_grids)
         occluder_origin, occluders = (caster.origin, None) if scenery is None else scenery.occluders
         self._origins = -np.stack([caster.origin, np.zeros(3), occluder_origin])
+        self._held: tuple[list[Pose | None], tuple[np.ndarray, np.ndarray, bool]] | None = None
         self.lidars = [
             FrameLidar(
                 lidar.lattice, lidar.lattice.components.reshape(3, -1), lidar.reach_m, (targets, of, occluders, boxes)
@@ -108,32 +109,62 @@ class CompiledScorer:
             for lidar, of in zip(observation.lidars, measurements, strict=True)
         ]
 
-    def see(self, layouts: Sequence[Sequence[Pose]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points (s, n) and marked cells (s, n, 3) of s layouts, and those of them at which rounding decides.
+    def see(self, layouts: Sequence[Sequence[Pose | None]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points by LiDAR (s, l, n) and marked cells (s, n, 3) of s layouts, and those at which rounding decides.
 
         What is counted for the latter, rows of `layouts`, is worth nothing.
         """
-        points = np.zeros((len(layouts), len(self._grids)), dtype=np.int64)
+        points = np.zeros((len(self.lidars), len(layouts), len(self._grids)), dtype=np.int64)
         cells = np.zeros((len(layouts), len(self._grids), 3), dtype=np.int64)
         undecided = np.zeros(len(layouts), dtype=bool)
         for first in range(0, len(layouts), _AT_A_TIME):
             some = slice(first, first + _AT_A_TIME)
-            self._see_some(layouts[some], points[some], cells[some], undecided[some])
-        return points, cells, np.flatnonzero(undecided)
+            self._see_some(layouts[some], points[:, some], cells[some], undecided[some])
+        return points.swapaxes(0, 1), cells, np.flatnonzero(undecided)
 
     def _see_some(self, layouts, points, cells, undecided):
-        """Add what some layouts see to their rows; grids of their own are needed where other LiDARs follow."""
-        bits = self._grids.no_bits(len(layouts) if len(self.lidars) > 1 else 1)
-        for lidar, poses in zip(self.lidars, zip(*layouts, strict=True), strict=True):
-            last = lidar is self.lidars[-1]
-            if self._caster.name == RASTER:
-                self._rasterise(lidar, poses, bits, points, cells, undecided, last)
+        """Add what some layouts see to their rows: first all LiDARs that keep their pose, then one after the other."""
+        poses = list(zip(*layouts, strict=True))
+        moving = [number for number, of in enumerate(poses) if any(pose != of[0] for pose in of)] or [len(poses) - 1]
+        bits = self._grids.no_bits(1)
+        if len(poses) > 1:
+            bits, of_held, certain = self._held_marks([None if k in moving else of[0] for k, of in enumerate(poses)])
+            bits = np.repeat(bits, len(layouts), axis=0)  # grids of their own, as other LiDARs follow
+            points += of_held
+            undecided |= not certain
+        for number in moving:
+            last = number == moving[-1]
+            self._mark_lidar(self.lidars[number], poses[number], bits, points[number], cells, undecided, last)
+
+    def _held_marks(self, held):
+        """What LiDARs that keep their pose mark, (1, words), their points (l, 1, n), and whether that is certain.
+
+        It is kept, as a search moves one LiDAR in batch after batch.
+        """
+        if self._held is None or self._held[0] != held:
+            bits, undecided = self._grids.no_bits(1), np.zeros(1, dtype=bool)
+            points = np.zeros((len(self.lidars), 1, len(self._grids)), dtype=np.int64)
+            none = np.zeros((1, len(self._grids), 3), dtype=np.int64)
+            for lidar, pose, of in zip(self.lidars, held, points, strict=True):
+                self._mark_lidar(lidar, [pose], bits, of, none, undecided, last=False)
+            self._held = held, (bits, points, not undecided[0])
+        return self._held[1]
+
+    def _mark_lidar(self, lidar, poses, bits, points, cells, undecided, last):
+        """Add what a LiDAR sees from each pose to its row; after the `last` LiDAR the cells are counted."""
+        rasterised = self._caster.name == RASTER
+        if rasterised and None not in poses:
+            self._rasterise(lidar, poses, bits, points, cells, undecided, last)
+            return
+        for row, pose in enumerate(poses):
+            one, grid = slice(row, row + 1), bits[row % len(bits)]
+            if pose is not None and rasterised:
+                self._rasterise(lidar, [pose], grid[None], points[one], cells[one], undecided[one], last)
                 continue
-            for row, pose in enumerate(poses):
-                grid = bits[row % len(bits)]
+            if pose is not None:
                 undecided[row] |= not self._cast(lidar, pose, points[row], grid)
-                if last:
-                    count_cells(grid, self._grids.start, self._grids.words, cells[row])
+            if last:
+                count_cells(grid, self._grids.start, self._grids.words, cells[row])
 
     def _rasterise(self, lidar, poses, *into):
         """Add what a LiDAR sees from some poses to their rows."""

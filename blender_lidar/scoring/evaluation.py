@@ -127,6 +127,8 @@ class Evaluator:
     ----------
     frames : tuple of CountedFrame, (f,)
     metric : str
+    lidars : tuple of str
+        Names of the LiDARs of a layout.
     workers : Workers or ClusterWorkers
         Who do the work, this process among them or not.
     """
@@ -141,6 +143,7 @@ class Evaluator:
         held_out: Sequence[CountedFrame] = (),
     ) -> None:
         self.frames, self._held_out, self.metric = tuple(frames), tuple(held_out), scoring.metric
+        self.lidars = tuple(lidar.name for lidar in observation.lidars)
         self._first = 0  # place of the first of them among all frames
         self._turn = np.arange(len(self.frames) + len(self._held_out)) * _GOLDEN % 1.0  # of each, wherever asked for
         self._work = _Work(self.frames, self._held_out, observation, scoring)

@@ -15,7 +15,7 @@ import numpy as np
 from ..optimise.multi_fidelity import Rung
 from ..scene.observation import Observation
 from ..scene.site import Site
-from ..sensors.beams import beam_lattice
+from ..sensors.beams import BeamLattice, beam_lattice
 from ..world.shapes import DETAILS
 
 
@@ -110,11 +110,13 @@ def coarse_observation(observation: Observation, fidelity: Fidelity) -> Observat
     seen = replace(observation, detail=fidelity.detail)
     if fidelity.stride == 1:
         return seen
-    all_beams = observation.lattice
-    phase_rad = fidelity.phase * all_beams.step_rad
-    lattice = beam_lattice(all_beams.model, all_beams.rotation_hz, phase_rad=phase_rad, stride=fidelity.stride)
+
+    def thinned(beams: BeamLattice) -> BeamLattice:
+        phase_rad = fidelity.phase * beams.step_rad
+        return beam_lattice(beams.model, beams.rotation_hz, phase_rad=phase_rad, stride=fidelity.stride)
+
     grown = min(observation.cell_m * math.sqrt(fidelity.stride), _LARGEST_CELL_M)
-    return replace(seen.with_lidar(lattice=lattice), cell_m=max(observation.cell_m, grown))
+    return replace(seen.with_lattices(thinned), cell_m=max(observation.cell_m, grown))
 
 
 def coarsest_stride(observation: Observation) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -75,8 +76,8 @@ class Seen(NamedTuple):
 
     Attributes
     ----------
-    points : ndarray of int64, (s, n)
-        Returns from each vehicle, for each layout.
+    by_lidar : ndarray of int64, (s, l, n)
+        Returns of each LiDAR from each vehicle, for each layout; none of one that is left out.
     occupancy : ndarray, (s, n, 3)
         P of the top, side and front view; a cell that several LiDARs see is occupied once.
     returns : (ndarray, ndarray) or None
@@ -84,9 +85,14 @@ class Seen(NamedTuple):
         each belongs to, (k,): vehicles are counted on from layout to layout, 0 to s n - 1.
     """
 
-    points: np.ndarray
+    by_lidar: np.ndarray
     occupancy: np.ndarray
     returns: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def points(self) -> np.ndarray:
+        """Returns from each vehicle, for each layout, (s, n) int64."""
+        return self.by_lidar.sum(axis=1)
 
 
 def singles(poses: Iterable[Pose]) -> list[tuple[Pose]]:
@@ -144,32 +150,34 @@ class FrameScorer:
         return len(self.vehicles)
 
     @stops_recognised()
-    def see(self, layouts: Sequence[Sequence[Pose]], *, keep_returns: bool = False) -> Seen:
+    def see(self, layouts: Sequence[Sequence[Pose | None]], *, keep_returns: bool = False) -> Seen:
         """What each of s layouts sees of the n counted vehicles; the returns themselves only where they are kept.
 
-        A layout is a pose for each LiDAR, in their order.
+        A layout is a pose for each LiDAR, in their order; None where one is left out. LiDARs that keep their pose from
+        layout to layout are cast once, so that moving one costs one cast.
         """
         if self.compiled is None or keep_returns:
             return self.seen_of(layouts, self._revolutions(layouts), keep_returns=keep_returns)
-        points, cells, undecided = self.compiled.see(layouts)
+        by_lidar, cells, undecided = self.compiled.see(layouts)
         shares = self.grids.shares(cells)
         for row in undecided.tolist():
             one = layouts[row : row + 1]
             seen = self.seen_of(one, self._revolutions(one))
-            points[row], shares[row] = seen.points[0], seen.occupancy[0]
-        return Seen(points, shares)
+            by_lidar[row], shares[row] = seen.by_lidar[0], seen.occupancy[0]
+        return Seen(by_lidar, shares)
 
     def vehicle_points(self, *layout: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Returns from counted vehicles: points (k, 3), each in its vehicle's frame [m], and vehicle rows (k,)."""
         (found,) = self._revolutions([layout])
-        return self._returns(layout, found)
+        parts = [returns for returns in self._returns(layout, found) if returns is not None]
+        return tuple(map(np.concatenate, zip(*parts, strict=True)))
 
     def _returns(self, layout, turn):
-        """The same, given what the beams of each LiDAR met."""
-        parts = [
-            self.returns_of(pose, hits, lidar) for lidar, (pose, hits) in enumerate(zip(layout, turn, strict=True))
+        """The same of each LiDAR, given what its beams met; None of one that is left out."""
+        return [
+            None if pose is None else self.returns_of(pose, hits, lidar)
+            for lidar, (pose, hits) in enumerate(zip(layout, turn, strict=True))
         ]
-        return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
 
     def returns_of(self, pose: Pose, hits: Revolution, lidar: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Returns of one LiDAR from counted vehicles, as `vehicle_points`, given what its beams met."""
@@ -187,13 +195,19 @@ class FrameScorer:
         return to_vehicle_frame(points, self.vehicles.centre_m, self.vehicles.heading_rad, row), row  # Eqs. 4 and 5
 
     def _revolutions(self, layouts):
-        """What the beams of each LiDAR of each layout meet, layout after layout."""
+        """What the beams of each LiDAR of each layout meet, layout after layout; None of one that is left out."""
+        turns = [self._turns(lidar, poses) for lidar, poses in enumerate(zip(*layouts, strict=True))]
+        return zip(*turns, strict=True) if layouts else iter(())
+
+    def _turns(self, number, poses):
+        """What the beams of one LiDAR meet from each pose; one that it keeps from layout to layout is cast once."""
         tree, pieces = self.shapes.tree, self.shapes.pieces if self._observation.culled else None
-        turns = [
-            revolutions(tree, lidar.lattice, [layout[number] for layout in layouts], lidar.reach_m, pieces)
-            for number, lidar in enumerate(self._observation.lidars)
-        ]
-        return zip(*turns, strict=True)
+        lidar, first = self._observation.lidars[number], poses[0]
+        if len(poses) > 1 and all(pose == first for pose in poses):
+            (found,) = self._turns(number, poses[:1])
+            return repeat(found, len(poses))
+        turns = iter(revolutions(tree, lidar.lattice, [one for one in poses if one is not None], lidar.reach_m, pieces))
+        return (None if pose is None else next(turns) for pose in poses)
 
     def _surface(self, hits):
         """Whether hits are on glass, their reflectivity and the cosine of their incidence."""
@@ -205,13 +219,17 @@ class FrameScorer:
         self, layouts: Sequence[Sequence[Pose]], turns: Iterable[Sequence[Revolution]], *, keep_returns: bool = False
     ) -> Seen:
         """As `see`, given what the beams of each LiDAR of each layout met, in turn."""
-        points = np.zeros((len(layouts), len(self)), dtype=np.int64)
+        by_lidar = np.zeros((len(layouts), len(self._measurements), len(self)), dtype=np.int64)
         shares = np.zeros((len(layouts), len(self), 3))
         kept = [(np.empty((0, 3)), np.empty(0, dtype=np.int64))]
         for number, (layout, turn) in enumerate(zip(layouts, turns, strict=True)):
-            local, row = self._returns(layout, turn)
-            points[number] = np.bincount(row, minlength=len(self))
+            parts = [(np.empty((0, 3)), np.empty(0, dtype=np.int64))]
+            for lidar, returns in enumerate(self._returns(layout, turn)):
+                if returns is not None:
+                    by_lidar[number, lidar] = np.bincount(returns[1], minlength=len(self))
+                    parts.append(returns)
+            local, row = parts[1] if len(parts) == 2 else map(np.concatenate, zip(*parts, strict=True))
             shares[number] = self.grids.occupancy(local, row)  # Eqs. 6 to 8
             if keep_returns:
                 kept.append((local, number * len(self) + row))
-        return Seen(points, shares, tuple(map(np.concatenate, zip(*kept, strict=True))) if keep_returns else None)
+        return Seen(by_lidar, shares, tuple(map(np.concatenate, zip(*kept, strict=True))) if keep_returns else None)

@@ -86,7 +86,9 @@ class VehicleScores:
 def _rows(metric, frame, scorer, seen: Seen, layouts, noticed) -> VehicleReturns:
     """What a metric is given: one row for each layout and vehicle, layout after layout."""
     vehicles, view = scorer.vehicles, None
-    origin = np.array([[pose.position for pose in layout] for layout in layouts]).reshape(len(layouts), -1, 3)
+    left_out = np.full(3, np.inf)
+    origin = [[left_out if pose is None else pose.position for pose in layout] for layout in layouts]
+    origin = np.array(origin).reshape(len(layouts), -1, 3)
     away = vehicles.centre_m[:, :2] - origin[:, :, None, :2]
     points, owner = (None, None) if seen.returns is None else seen.returns
     if NEEDS_VIEW in metric.needs:
