@@ -7,18 +7,18 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .clouds.files import write_cloud
+from .clouds.files import LIDARS, write_cloud
 from .clouds.scan import PointCloud, class_names
 from .commands.report import outcome_text
-from .errors import InputError
+from .errors import InputError, unknown_name
 from .files import write_bytes
-from .report.summary import answer, key_figures, warnings_text
+from .report.summary import answer, each_lidar, key_figures, warnings_text
 from .run.folder import RunFolder
 from .scene.mounting import COORDINATES
 from .scene.site import Site
@@ -59,9 +59,12 @@ class Run(RunFolder):
         self.site, self.complete = site, True
 
     @property
-    def mounting(self) -> dict[str, float]:
-        """The six coordinates [m, degrees]."""
-        return {key: self.result["deployment"][key] for key in COORDINATES}
+    def mounting(self) -> dict[str, float] | dict[str, dict[str, float]]:
+        """The six coordinates [m, degrees]; of several LiDARs those of each by its name."""
+        found = {
+            name: {key: one["deployment"][key] for key in COORDINATES} for name, one in each_lidar(self.result).items()
+        }
+        return found.get("", found)
 
     @property
     def vehicles(self):
@@ -76,18 +79,21 @@ class Run(RunFolder):
     @property
     def history(self):
         """Every evaluation of the search, a table in the columns of history.csv; None for a given mounting."""
-        if self.result["search"] is None:
-            return None
-        rows, variables = self.read_history(), self.result["bounds"]
-        names = ("evaluation", "iteration", "particle", *variables, "objective", "best")
-        return table_of(dict(zip(names, rows.T, strict=True)))
+        return None if self.result["search"] is None else table_of(self.read_columns())
 
     @property
     def score_map(self):
-        """Objective and detectable share over heights and tilts, a table; None where the run has no map."""
-        if self.result["map"] is None:
+        """Objective and detectable share over heights and tilts, a table; None where the run has no map.
+
+        Of several LiDARs such a table of each by its name, the others held.
+        """
+        found = {name: self._map_of(name) for name in each_lidar(self.result)}
+        return found.get("", found)
+
+    def _map_of(self, lidar: str):
+        """The table of a LiDAR's score map; None where it has none."""
+        if (found := self.read_score_map(lidar)) is None:
             return None
-        found = self.read_score_map()
         height, tilt = np.meshgrid(found.height_m, found.tilt_deg, indexing="ij")
         scores = {"objective_per_vehicle": found.per_vehicle, "detectable_share": found.detectable_share}
         columns = {"height_m": height, found.tilt: tilt, **scores}
@@ -134,11 +140,14 @@ class Plots:
 
     run: Run
 
-    def score_map(self) -> Picture:
-        """Objective over height and tilt, with the optimum and the baseline."""
-        if self.run.result["map"] is None:
+    def score_map(self, lidar: str = "") -> Picture:
+        """Objective over height and tilt, with the optimum and the baseline; of several LiDARs that of one."""
+        names = each_lidar(self.run.result)
+        if lidar not in names:
+            raise unknown_name(lidar, names, "LiDAR", "score_map")
+        if (found := self.run.read_score_map(lidar)) is None:
             raise InputError("score_map: the run has none: it was no full search, or it was stopped")
-        return self._drawn("plot_score_map", score_map=self.run.read_score_map())
+        return self._drawn("plot_score_map", score_map=found, lidar=lidar)
 
     def search(self) -> Picture:
         """How the best objective rose with the number of mountings tried."""
@@ -175,20 +184,23 @@ class Score:
     Attributes
     ----------
     mounting : dict of str to float
-        The six coordinates [m, degrees].
+        The six coordinates [m, degrees]; of several LiDARs such a dict of each, by name.
     objective, objective_per_vehicle : float
         Eq. 10, in the metric's unit: its sum, and its mean over the vehicles.
     detectable_share : float
         Share of the vehicles at or above the threshold.
     vehicles : DataFrame or dict of ndarray
         What it sees of each vehicle in each frame, in the columns of vehicles.csv.
+    alone : dict of str to Score
+        Of a layout of several LiDARs the same of each alone, by name.
     """
 
-    mounting: dict[str, float]
+    mounting: dict[str, Any]
     objective: float
     objective_per_vehicle: float
     detectable_share: float
     vehicles: Any
+    alone: dict[str, Score] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,6 +228,7 @@ class Scan:
         columns = dict(zip(("x_m", "y_m", "z_m"), cloud.xyz.T, strict=True))
         columns |= {"range_m": cloud.range_m, "ring": cloud.ring, "time_s": cloud.time_s}
         columns |= {"vehicle_id": cloud.vehicle_id, "class": class_names(cloud.class_index)}
+        columns |= {"lidar": cloud.lidar} if LIDARS in self.header else {}
         return table_of({**columns, "intensity": cloud.intensity})
 
     def write(self, path: str | Path) -> None:

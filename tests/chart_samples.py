@@ -10,6 +10,7 @@ import numpy as np
 
 from blender_lidar.report.cloud_figures import Found, Sight, plot_clouds, plot_detections, plot_occupancy
 from blender_lidar.report.coverage_figures import plot_blind_zones, plot_reach
+from blender_lidar.report.plan import Stand
 from blender_lidar.report.run_figures import plot_by_approach, plot_by_distance, plot_convergence, plot_score_map
 from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.run.folder import RunFolder
@@ -121,10 +122,15 @@ def cloud(seed: int, number: int = 500) -> SimpleNamespace:
     return SimpleNamespace(xyz=xyz, vehicle_id=rng.integers(-1, 5, number))
 
 
+def cloud_arrays(seed: int, number: int) -> tuple[np.ndarray, np.ndarray]:
+    found = cloud(seed, number)
+    return found.xyz, found.vehicle_id
+
+
 def sights(seen: np.ndarray, *, number: int = 500) -> tuple[Sight, Sight]:
     return (
-        Sight("Baseline", mounting(mount(2.0)), cloud(6, number), seen),
-        Sight("Optimised", mounting(mount(4.1)), cloud(7, number), ~seen),
+        Sight("Baseline", "height 2.00 m, tilt 0.0°", [Stand("", (0.0, 0.0))], *cloud_arrays(6, number), seen),
+        Sight("Optimised", "height 4.10 m, tilt 0.0°", [Stand("", (0.0, 0.0))], *cloud_arrays(7, number), ~seen),
     )
 
 
@@ -141,8 +147,8 @@ def detections(number: int = 300) -> dict[str, object]:
     )
     vehicle, ignored = np.array([0, 2, 4, 6, 8, -1, -1]), np.arange(7) == 5
     of_mountings = {
-        "Baseline": (mounting(mount(2.0)), cloud(6, number)),
-        "Given": (mounting(mount(4.0)), cloud(7, number)),
+        "Baseline": ((mounting(mount(2.0)),), cloud(6, number)),
+        "Given": ((mounting(mount(4.0)),), cloud(7, number)),
     }
     found = [Found(name, *seen, boxes, vehicle, ignored) for name, seen in of_mountings.items()]
     return {"frame": frame, "found": found, **HEADINGS}

@@ -269,7 +269,7 @@ def test_clouds_count_what_they_show(tmp_path, figures):
     both = sights(np.arange(12) % 3 > 0)
     plot_clouds(tmp_path / "c.png", vehicles(4), both)
     for sight, title in zip(both, ("Baseline: height 2.00 m", "Optimised: height 4.10 m"), strict=True):
-        points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
+        points = np.count_nonzero(sight.vehicle_id >= 0)
         text = f"{title}, tilt 0.0°\n{sight.detectable.sum()} of 12 vehicles detectable, {points} points on vehicles"
         assert text in words(figures[0])
 

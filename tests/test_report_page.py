@@ -37,7 +37,7 @@ def folder(stored_runs, tmp_path) -> RunFolder:
 
 def draw(folder: RunFolder, names: list[str]) -> None:
     for number, name in enumerate(names):
-        folder.file(name).write_bytes(png(8 + number, 5, 20 * number))
+        folder.file(name).write_bytes(png(8 + number, 5, 17 * number))
 
 
 # --- HTML -------------------------------------------------------------------------------------------------------------

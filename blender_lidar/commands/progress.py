@@ -14,17 +14,18 @@ from ..run.verdict import POINTS
 from ..scene.deployment import MOUNTING_OR_LEAN
 
 _BAR = "{desc} {percentage:3.0f}% |{bar:8}| {remaining} left{postfix}"  # with the best so far it fits 80 columns
+_ROOM = 34  # for a label and coordinates
 
 
 class Progress:
     """Counts up to `total`; `close` it at the end.
 
     On a terminal it is tqdm's bar where tqdm is installed; without a terminal, or without tqdm, it is one line each
-    tenth of the way.
+    tenth of the way, or as many `lines` as are asked for.
     """
 
-    def __init__(self, total: int, what: str, done: int = 0) -> None:
-        self._total, self._what, self._done = total, what, done
+    def __init__(self, total: int, what: str, done: int = 0, lines: int = 10) -> None:
+        self._total, self._what, self._done, self._lines = total, what, done, lines
         self._bar = _terminal_bar(total, what, done)
         if done and self._bar is None:
             self._print("done before")
@@ -40,7 +41,7 @@ class Progress:
         if self._bar is not None:
             self._bar.set_postfix_str(note, refresh=False)
             self._bar.update(steps)
-        elif 10 * self._done // self._total > 10 * before // self._total:
+        elif self._lines * self._done // self._total > self._lines * before // self._total:
             self._print(note)
 
     def _print(self, note):
@@ -58,13 +59,16 @@ class RunProgress:
         Names of the searched coordinates.
     metric : Metric
         What is maximised.
+    lines : int
+        Lines that each search takes where there is no terminal.
     """
 
-    def __init__(self, variables: Sequence[str], metric: Metric = PE_VGOP) -> None:
+    def __init__(self, variables: Sequence[str], metric: Metric = PE_VGOP, lines: int = 10) -> None:
+        self._lines = lines
         self._metric = metric
         self._names = [MOUNTING_OR_LEAN[key].option.removeprefix("--") for key in variables]
         self._searched: Search | MultiFidelitySearch | None = None
-        self._evaluations, self._mapping = 0, False
+        self._evaluations = self._mapped = 0
         self._shown: Progress | None = None
 
     def __enter__(self) -> RunProgress:
@@ -78,14 +82,13 @@ class RunProgress:
         if search is self._searched:
             self._shown.advance(search.evaluations - self._evaluations, self._best(search))
         else:
-            self._show(Progress(search.budget, search.label, search.evaluations))
-            self._mapping = False
+            self._show(Progress(search.budget, search.label, search.evaluations, self._lines))
         self._searched, self._evaluations = search, search.evaluations
 
     def mapping(self, points: int) -> None:
-        if not self._mapping:
-            self._mapping = True
-            self._show(Progress(POINTS[0] * POINTS[1], "map of heights and tilts"))
+        if self._mapped % math.prod(POINTS) == 0:  # the map of the next LiDAR
+            self._show(Progress(math.prod(POINTS), "map of heights and tilts"))
+        self._mapped += points
         self._shown.advance(points)
 
     def _show(self, progress: Progress) -> None:
@@ -97,8 +100,12 @@ class RunProgress:
         if isinstance(search, MultiFidelitySearch) and search.best_value == -math.inf:
             return search.stage
         names = search.variables or self._names  # which differ from place to place
+        units = any(name.endswith(("_m", "_deg")) for name in names)
+        names = [name.removesuffix("_deg").removesuffix("_m") for name in names]
         mount = ", ".join(f"{name} {value:.2f}" for name, value in zip(names, search.best_x, strict=True))
-        return f"best {self._metric.total(search.best_value, -2)} at {mount}"
+        best = f"best {self._metric.total(search.best_value, -2)}"
+        # Those of several LiDARs have units and names: together they may be longer than a line.
+        return best if units and len(search.label) + len(mount) > _ROOM else f"{best} at {mount}"
 
 
 def _terminal_bar(total, what, done):

@@ -9,6 +9,7 @@ import sys
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 
 from ..metrics.catalogue import metric_named
@@ -19,6 +20,7 @@ from ..report.summary import (
     as_sentence,
     assumed_texts,
     definitions,
+    each_lidar,
     imperfections_text,
     region_text,
     scenery_text,
@@ -26,7 +28,7 @@ from ..report.summary import (
     where_text,
 )
 from ..report.tables import group_tables, score_tables, table_text
-from ..run.folder import RunFolder
+from ..run.folder import INSTALLATION, RunFolder, of_lidar
 from ..run.optimise import scenery_counts
 from ..run.tolerance import SEARCHED_BASE, tolerance_text
 from ..scene.mounting import COORDINATE_NAMES
@@ -70,7 +72,6 @@ def say_stopped(folder: Path) -> int:
 def describe_site(site: Site, *, searched: bool = True) -> str:
     """What a run will work on, in a few lines; `searched` is False where a mounting is given."""
     scenario, observation, report = site.scenario, site.observation, site.recording.report
-    columns = f" with {site.model.columns()} columns a turn" if site.model.columns_a_turn else ""
     boxes = sum(int(frame.counted.sum()) for frame in site.search)
     traffic = f"{counted(len(site.search), 'frame')} with {counted(boxes, 'box')} of "
     traffic += counted(len(site.plan.searched_ids), "vehicle")
@@ -78,18 +79,30 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
     if site.holdout:
         held_out = f"{counted(len(site.holdout), 'held-out frame')} for the check"
     lines = [
-        ("Sensor", f"{site.model.name}{columns}, range gate {observation.lidar.max_range_m:g} m"),
-        ("", imperfections_text(scenario.sensor.imperfections_as_table())),
+        *chain(*map(_sensor_lines, site.each)),
         ("Scenery", scenery_text(scenery_counts(site))),
         ("Traffic", f"{_traffic_text(site)}: {traffic}; {held_out}"),
         *(("", line) for line in report.lines(losses=True)),
         ("Region", f"vehicles count {region_text(asdict(scenario.region))}"),
         ("Tolerance", _tolerance_text(scenario, searched)),
-        ("Searched", _ranges(scenario) if searched else ""),
+        *(("Searched", _ranges(one)) for one in scenario.each if searched),
         ("Casting", f"{observation.caster}, detail {observation.detail}, {workplace_of(scenario.model)}"),
     ]
     warnings = warnings_text({"warnings": report.warnings_as_dicts()})
     return "\n".join([*warnings, *(f"{name:<10} {text}" for name, text in lines if text)])
+
+
+def _sensor_lines(site: Site) -> list[tuple[str, str]]:
+    """The sensor of one LiDAR, after its name where it has one."""
+    model, columns = site.model, ""
+    if model.columns_a_turn:
+        columns = f" with {model.columns()} columns a turn"
+    text = f"{_called(site.scenario)}{model.name}{columns}, range gate {site.observation.lidar.max_range_m:g} m"
+    return [("Sensor", text), ("", imperfections_text(site.scenario.sensor.imperfections_as_table()))]
+
+
+def _called(scenario):
+    return f"{scenario.lidar_name}: " if scenario.lidar_name else ""
 
 
 def _traffic_text(site: Site) -> str:
@@ -127,7 +140,8 @@ def filled(sentences: Sequence[str]) -> str:
 def files(folder: RunFolder, charts: Sequence[str]) -> str:
     """Where the results are."""
     drawn = f" and {len(charts)} charts" if charts else ""
-    return f"Results in {folder.path}: report.html, result.json, vehicles.csv, installation.txt{drawn}"
+    sheets = ", ".join(of_lidar(INSTALLATION, name) for name in each_lidar(folder.result))
+    return f"Results in {folder.path}: report.html, result.json, vehicles.csv, {sheets}{drawn}"
 
 
 def _tolerance_text(scenario, searched):
@@ -149,4 +163,5 @@ def _ranges(scenario):
         if bounds:
             own = ", as each pole allows" if len(bounds) > 1 else ""
             ranges.append(f"{name} {min(bounds)[0]:g} to {max(high for _, high in bounds):g} {unit}{own}")
-    return (f"{counted(poles, 'pole')}; on each: " if poles else "") + ", ".join(ranges)
+    on_each = f"{counted(poles, 'pole')}; on each: " if poles else ""
+    return f"{_called(scenario)}{on_each}{', '.join(ranges) or 'nothing'}"

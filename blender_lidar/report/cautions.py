@@ -17,12 +17,15 @@ from .summary import (
     LEVEL_DEG,
     as_sentence,
     better_than_baseline,
+    each_lidar,
     in_brackets,
     judged,
     judged_over_tolerance,
     leans,
     measured,
     minus,
+    of_name,
+    own_table,
     sharp_of,
     span,
     was_searched,
@@ -42,6 +45,15 @@ def cautions(result: Mapping) -> list[str]:
         return found
     if not better_than_baseline(result):
         found.append("No mounting that was tried is better than the baseline.")
+    each = each_lidar(result).items()
+    found += [of_name(name, text) for name, one in each for text in _search_notes(one)]
+    found += [as_sentence(text) for text in (poles_text(result), seeds_text(result)) if text]
+    return found + [of_name(name, as_sentence(text)) for name, one in each if (text := optimum_text(one))]
+
+
+def _search_notes(result):
+    """What bounds, fidelity and map say of where the search of a LiDAR has ended."""
+    found = []
     for key, (name, unit) in COORDINATE_NAMES.items():
         bounds, place = _bounds(result, key), result["deployment"].get(key)
         if not isinstance(bounds, list) or place is None:
@@ -54,7 +66,7 @@ def cautions(result: Mapping) -> list[str]:
         slack = ON_A_BOUND * (high - low)
         upright = key == "lean_deg" and low == 0.0 and place < high - slack  # beyond which nothing lies
         if not low + slack < place < high - slack and not upright:
-            whose = "its pole" if key == "height_m" and result.get("pole") else "[deployment]"
+            whose = "its pole" if key == "height_m" and result.get("pole") else f"[{own_table(result)}]"
             beyond = next_metre_text(result) if key == "height_m" and place > low + slack else ""
             where = "on" if place in bounds else f"within {slack:.2g} {unit} of"
             beyond = beyond or "a value beyond it may be better"
@@ -67,10 +79,7 @@ def cautions(result: Mapping) -> list[str]:
         )
     if result["map"]:
         found += _map_notes(result, "mounting found" if sharp_of(result) is None else "sharp mounting")
-    return [
-        *found,
-        *(as_sentence(text) for text in (poles_text(result), seeds_text(result), optimum_text(result)) if text),
-    ]
+    return found
 
 
 def next_metre_text(result: Mapping) -> str:
@@ -99,7 +108,8 @@ def lorries_text(result: Mapping) -> str:
         return ""
     after, before = map(_share_with_count, (worst, whole))
     instead = "as recorded" if after == before else f"instead of {before}"
-    text = f"If every car and van of {worst['lanes']} were a lorry, of all vehicles {after} would be detectable "
+    of = f" (from {result['lidars'][0]['name']})" if result.get("layout") else ""
+    text = f"If every car and van of {worst['lanes']}{of} were a lorry, of all vehicles {after} would be detectable "
     text += f"{instead}, in {counted(other['frames'], 'held-out frame' if result.get('holdout') else 'frame')}"
     told = known_lanes(whole).keys() & known_lanes(worst).keys()
     lost = {name: known_lanes(whole)[name] - known_lanes(worst)[name] for name in sorted(told)}
@@ -177,7 +187,7 @@ def _undecided_by_threshold(result):
 def _bounds(result, key):
     """Between what a coordinate was searched, or the number that fixed it; on a pole with heights of its own these."""
     searched = result.get("bounds") or {}
-    return searched.get(key, result["identity"].get(f"[deployment] {key}"))
+    return searched.get(key, result["identity"].get(f"[{own_table(result)}] {key}"))
 
 
 def _against_sharp(result):
@@ -185,7 +195,7 @@ def _against_sharp(result):
     metric, sharp = metric_named(result["metric"]), sharp_of(result)
     if sharp is None:
         return ""
-    if sharp["deployment"] == result["deployment"]:
+    if all(sharp_of(one)["deployment"] == one["deployment"] for one in each_lidar(result).values()):
         return "the search over the tolerance found no mounting better than the sharp one"
     beside = (result["tolerance"]["robust"]["optimised"]["holdout"] or {}).get("over_sharp", {})
     parts = []
@@ -280,16 +290,17 @@ def worst_text(result: Mapping) -> str:
 
 def costliest_text(result: Mapping) -> str:
     """Which single error at its limit costs most; empty without a tolerance, or where none costs anything."""
-    scores, where = judged_over_tolerance(result)
+    (scores, where), each = judged_over_tolerance(result), each_lidar(result)
     limits = {} if scores is None else scores["loss_at_limits"]
     ends = ((loss, key, sign) for key in limits for loss, sign in zip(limits[key], "-+", strict=True))
     loss, key, sign = max(ends, default=(0.0, "", ""))
     if loss <= 0.0:
         return ""
+    lidar, _, key = key.rpartition(".")
     (name, unit), width = COORDINATE_NAMES[key], result["tolerance"]["settings"][_WIDTHS[key]]
-    if key in ANGLES[:2] and abs(math.remainder(result["deployment"]["yaw_deg"], 360.0)) >= LEVEL_DEG:
+    if key in ANGLES[:2] and abs(math.remainder(each[lidar]["deployment"]["yaw_deg"], 360.0)) >= LEVEL_DEG:
         name = f"tilt about the sensor's own {'x' if key == 'tilt_x_deg' else 'y'} axis"
-    metric = metric_named(result["metric"])
+    name, metric = f"{name} of {lidar}" if lidar else name, metric_named(result["metric"])
     lost = f"{metric.difference(loss)}{metric.per_vehicle}"
     return f"of single installation errors, {name} {sign}{width:g} {unit} costs most: {lost} ({where})"
 

@@ -193,7 +193,8 @@ def ablation_cells(row: Mapping) -> tuple[str, ...]:
     what = (row["what"], row["value"] + draws)
     if row["bias"] is None:
         return (*what, row["note"], *[""] * 5)
-    moved = ", ".join(f"{round(by, 2) + 0.0:+.2f} {COORDINATE_NAMES[key][1]}" for key, by in row["shift"].items())
+    by_key = ((key.rpartition("."), round(by, 2) + 0.0) for key, by in row["shift"].items())
+    moved = ", ".join(f"{name} {by:+.2f} {COORDINATE_NAMES[key][1]}".lstrip() for (name, _, key), by in by_key)
     costs, beyond = percent(row["regret"], row["regret_interval_90"]), row["beyond_noise"]
     names = "not known" if beyond is None else ", ".join(name for name, so in beyond.items() if so) or "nothing"
     return (*what, _number(row["bias"], "+.4f"), _number(row["tau"], ".3f"), moved, costs, names, row["verdict"])

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..clouds.scan import PointCloud
+from ..clouds.scan import PointCloud, joined_clouds
 from ..detection.judge import JudgedDetector, clouds_at, judging_frames, region_of_alarms, sensor_at
 from ..detection.scores import CONFIDENCES, CRITERIA, meetings
 from ..metrics.vgop import VIEW_NAMES, entropy, occupancy_views
 from ..run.folder import RunFolder
-from ..scene.mounting import Mounting
+from ..run.optimise import sensors_text
+from ..scene.mounting import Layout
 from ..scene.observation import CountedFrame
 from ..scene.site import Site
 from ..scoring.frame_scorer import FrameScorer
@@ -34,9 +35,9 @@ from .figure import (
     place,
     sheet,
 )
-from .plan import plans, scale_bar, window_of
+from .plan import Stand, draw_stands, plans, scale_bar, window_of
 from .road_plan import draw_road
-from .summary import leans, mounting_text, sides
+from .summary import mounting_text, sides
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -60,16 +61,21 @@ class Sight:
     ----------
     name : str
         What the mounting is called.
-    mounting : Mounting
-    cloud : PointCloud
-        One revolution.
+    text : str
+        Where it hangs.
+    stands : sequence of Stand
+        Its LiDARs.
+    xyz, vehicle_id : ndarray, (n, 3) and (n,)
+        Points of one revolution of each [m], and the vehicles that they lie on, -1 for anything else.
     detectable : ndarray, (v,) bool
         Which of the frame's vehicles reach the threshold.
     """
 
     name: str
-    mounting: Mounting
-    cloud: PointCloud
+    text: str
+    stands: Sequence[Stand]
+    xyz: np.ndarray
+    vehicle_id: np.ndarray
     detectable: np.ndarray
 
 
@@ -77,14 +83,14 @@ def draw_clouds(path: str | Path, site: Site, run: RunFolder) -> None:
     """Draw the searched frame with the most vehicles in view, as both mountings of a run see it."""
     frame = max(site.search, key=lambda candidate: int(candidate.counted.sum()))
     vehicles, sights = frame.vehicles.select(frame.counted), []
-    for table, (name, mount) in zip((run.baseline, run.optimised), sides(run.result), strict=True):
-        mounting = site.scenario.mounting(mount)
-        cloud = sensor_at(site, mounting).scan(frame.vehicles)
+    for table, (name, text, mounts) in zip((run.baseline, run.optimised), sides(run.result), strict=True):
+        each = [(one, one.scenario.mounting(at)) for one, at in zip(site.each, mounts.values(), strict=True)]
+        cloud = joined_clouds([sensor_at(*one).scan(frame.vehicles) for one in each])
         of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")
-        sights.append(Sight(name, mounting, cloud, table["detectable"][of_frame]))
+        stands = [Stand(name, mounting.xy) for name, (_, mounting) in zip(mounts, each, strict=True)]
+        sights.append(Sight(name, text, stands, cloud.xyz, cloud.vehicle_id, table["detectable"][of_frame]))
     title = f"{run.result['sensor']}: one revolution from above, frame {vehicles.frame}"
-    road = site.scenario.road_map
-    plot_clouds(path, vehicles, sights, title, leaning=leans(run.result), road=road)
+    plot_clouds(path, vehicles, sights, title, road=site.scenario.road_map)
 
 
 def plot_clouds(
@@ -94,22 +100,20 @@ def plot_clouds(
     title: str = "",
     subtitle: str = "",
     *,
-    leaning: bool = False,
     road: RoadMap | None = None,
 ) -> None:
     """Draw one frame's cloud under the baseline and under the other mounting, to scale.
 
-    The boxes of the `vehicles` and the LiDARs set what part of the road is drawn. Orientations are given as leans where
-    the run is about them, `leaning`; the `road` names the axes, and its lines are drawn. Errors as `figure.sheet`.
+    The boxes of the `vehicles` and the LiDARs set what part of the road is drawn; the `road` names the axes, and its
+    lines are drawn. Errors as `figure.sheet`.
     """
     corners = corners_of(vehicles)
-    poles = [sight.mounting.xy for sight in sights]
+    poles = [stand.xy for sight in sights for stand in sight.stands]
     headings = []
     for sight in sights:
-        points = np.count_nonzero(sight.cloud.vehicle_id >= 0)
+        points = np.count_nonzero(sight.vehicle_id >= 0)
         seen = f"{np.count_nonzero(sight.detectable)} of {len(sight.detectable)} vehicles detectable"
-        where = mounting_text(sight.mounting.as_table(), leans=leaning)
-        headings.append(f"{sight.name}: {where}\n{seen}, {points:,} points on vehicles")
+        headings.append(f"{sight.name}: {sight.text}\n{seen}, {points:,} points on vehicles")
     window = window_of([corners, poles], _MARGIN_M)
     with plans(path, window, headings, _KEY_MM, title, subtitle, road=road) as (figure, panels, bottom):
         for sight, axes in zip(sights, panels, strict=True):
@@ -139,18 +143,18 @@ def _draw_panel(
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
-    on_vehicle = sight.cloud.vehicle_id >= 0
-    x, y, _ = sight.cloud.xyz[~on_vehicle].T
+    on_vehicle = sight.vehicle_id >= 0
+    x, y, _ = sight.xyz[~on_vehicle].T
     axes.plot(x, y, ".", color=FAINT, markersize=1.0, markeredgewidth=0.0, zorder=1)
-    x, y, z = sight.cloud.xyz[on_vehicle].T
-    z = z if road is None else z - road.surface.height(sight.cloud.xyz[on_vehicle])
+    x, y, z = sight.xyz[on_vehicle].T
+    z = z if road is None else z - road.surface.height(sight.xyz[on_vehicle])
     scale = {"cmap": colours(HEIGHT_COLOURS), "vmin": 0.0, "vmax": _HIGHEST_M}
     dots = axes.scatter(x, y, c=z, s=1.5, linewidths=0.0, zorder=3, **scale)
     solid = {"facecolor": "white", "edgecolor": INK, "linewidth": 0.7}
     dashed = {**solid, "facecolor": "#e2e2e2", "linestyle": (0, (2.5, 1.5))}
     for chosen, look in ((sight.detectable, solid), (~sight.detectable, dashed)):
         axes.add_collection(PolyCollection(corners[chosen], zorder=2, **look))
-    marker = mark_sensor(axes, sight.mounting.xy)
+    marker = draw_stands(axes, sight.stands)
     patches = [Patch(label="vehicle, detectable", **solid), Patch(label="vehicle, not detectable", **dashed)]
     return dots, [marker, *patches]
 
@@ -176,7 +180,7 @@ class Found:
     ----------
     name : str
         What the mounting is called.
-    mounting : Mounting
+    layout : Layout
     cloud : PointCloud
         What the detector was given.
     boxes : DetectedBoxes
@@ -188,7 +192,7 @@ class Found:
     """
 
     name: str
-    mounting: Mounting
+    layout: Layout
     cloud: PointCloud
     boxes: DetectedBoxes
     vehicle: np.ndarray
@@ -200,18 +204,20 @@ def draw_detections(
     site: Site,
     detector: str,
     judged: Mapping[str, JudgedDetector],
-    mountings: Mapping[str, Mounting],
+    layouts: Mapping[str, Layout],
 ) -> None:
-    """Draw what a detector finds in the judging frame with the median number of vehicles, at each of some mountings."""
+    """Draw what a detector finds in the judging frame with the median number of vehicles, at the baseline and given."""
     frames, _, _ = judging_frames(site)
     number = int(np.argsort([frame.counted.sum() for frame in frames], kind="stable")[len(frames) // 2])
     frame, sure = frames[number], []
-    for name, one in judged.items():
-        boxes = one.boxes[number].select(one.boxes[number].confidence >= _SURE)
-        cloud = clouds_at(site, mountings[name])(frame.vehicles)
+    for name in filter(judged.get, ("baseline", "given")):  # what parts of a layout find is in the table
+        boxes = judged[name].boxes[number].select(judged[name].boxes[number].confidence >= _SURE)
+        each = zip(site.each, layouts[name], strict=True)
+        cloud = joined_clouds([clouds_at(*one)(frame.vehicles) for one in each])
         met = meetings(boxes, frame.vehicles, frame.counted, region_of_alarms(site.region), CRITERIA[0])
-        sure.append(Found(name.capitalize(), mountings[name], cloud, boxes, *met))
-    title = f"{site.model.name}: what the detector {Path(detector).stem} finds in frame {frame.vehicles.frame}"
+        called = "Late fusion" if name == "given" and site.scenario.further_lidars else name.capitalize()
+        sure.append(Found(called, layouts[name], cloud, boxes, *met))
+    title = f"{sensors_text(site)}: what the detector {Path(detector).stem} finds in frame {frame.vehicles.frame}"
     of_frames = f"{len(frames)} {'held-out' if len(site.holdout) else 'searched'} frames"
     rule = f"confidence {_SURE:g} or more, hits within {CRITERIA[0].most_m:g} m"
     subtitle = f"{frame.counted.sum()} vehicles, the median of {of_frames}; {rule}"
@@ -234,7 +240,7 @@ def plot_detections(
     The vehicles and detections that count and the LiDARs set what part of the road is drawn; `leaning`, `road` and
     errors as for `plot_clouds`.
     """
-    poles = np.array([one.mounting.xy for one in found])
+    poles = np.array([mounting.xy for one in found for mounting in one.layout])
     counted = [
         corners_of(frame.vehicles.select(frame.counted)),
         *(corners_of(one.boxes)[~one.ignored] for one in found),
@@ -245,7 +251,9 @@ def plot_detections(
         hits, vehicles = np.count_nonzero(one.vehicle >= 0), np.count_nonzero(frame.counted)
         alarms = len(one.boxes) - int(hits) - int(np.count_nonzero(one.ignored))
         text = f"{hits} of {vehicles} vehicles found, {alarms} false alarm{'s' * (alarms != 1)}"
-        headings.append(f"{one.name}: {mounting_text(one.mounting.as_table(), leans=leaning)}\n{text}")
+        several = f"{len(one.layout)} LiDARs"
+        where = several if one.layout[1:] else mounting_text(one.layout[0].as_table(), leans=leaning)
+        headings.append(f"{one.name}: {where}\n{text}")
     with plans(path, window, headings, _LEGEND_MM, title, subtitle, road=road) as (figure, panels, _):
         for one, axes in zip(found, panels, strict=True):
             entries = _draw_found(axes, frame, one)
@@ -281,7 +289,7 @@ def _draw_found(axes: Axes, frame: CountedFrame, one: Found) -> list[Artist]:
         axes.add_collection(PolyCollection(box[chosen], zorder=3, **look))
         axes.add_collection(LineCollection(ticks[chosen], color=look["edgecolor"], linewidth=0.8, zorder=3))
     patches = [Patch(label=name, **look) for name, (_, look) in {**detections, **vehicles}.items()]
-    return [*patches, mark_sensor(axes, one.mounting.xy)]
+    return [*patches, mark_sensor(axes, np.transpose([mounting.xy for mounting in one.layout]))]
 
 
 # --- One vehicle's three occupancy grids ------------------------------------------------------------------------------
@@ -310,15 +318,16 @@ def draw_occupancy(path: str | Path, site: Site, run: RunFolder) -> None:
     scorer = FrameScorer(frame.vehicles, frame.counted, site.observation)
     size_m, cell_m = counted.size_m[index], site.observation.cell_m
     grids = []
-    for _, mount in sides(run.result):
-        points, owner = scorer.vehicle_points(site.scenario.mounting(mount).pose)
+    for _, _, mounts in sides(run.result):
+        each = zip(site.scenario.each, mounts.values(), strict=True)
+        points, owner = scorer.vehicle_points(*(one.mounting(at).pose for one, at in each))
         grids.append(occupancy_views(points[owner == index], size_m, cell_m))
     plot_occupancy(
         path,
         grids,
         size_m,
         cell_m,
-        [f"{name}: {mounting_text(mount, leans=leans(run.result))}" for name, mount in sides(run.result)],
+        [f"{name}: {text}" for name, text, _ in sides(run.result)],
         f"Occupied cells of one {counted.class_name[index]}, vehicle {vehicle_id} in frame {number}",
         f"{run.result['sensor']}, {table['distance_m'][row]:.0f} m away; "
         "this vehicle gains more PE-VGOP than three quarters of the others",

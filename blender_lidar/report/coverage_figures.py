@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -25,7 +25,7 @@ from .figure import (
 )
 from .plan import Stand, background, draw_stands, north_arrow, north_name, plans, scale_bar, window_of
 from .road_plan import ASPHALT_LOOK, EMPTY_LOOK, SEEN_THROUGH_LOOK, draw_road
-from .summary import leans, mounting_text, run_text, sides
+from .summary import each_lidar, run_text, sides
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -118,8 +118,8 @@ def plot_blind_zones(
     from matplotlib.patches import Rectangle
 
     tables = run.baseline, run.optimised
-    poles = [(mount["x_m"], mount["y_m"]) for _, mount in sides(run.result)]
-    window = window_of([footprints(tables[0]), poles], _MARGIN_M)
+    stands = _stands(run)
+    window = window_of([footprints(tables[0]), *([one.xy for one in side] for side in stands)], _MARGIN_M)
     side_m = _CELL_M if np.ptp(window, axis=0).max() >= _SMALL_SITE_M else _FINE_CELL_M
     found = [
         f"{100.0 * (~table['detectable'].astype(bool)).mean():.1f} % of {len(table['x_m']):,} boxes below the threshold"
@@ -129,10 +129,10 @@ def plot_blind_zones(
     key_mm = 30.0 if zones else 26.0
     heading = "Where vehicles stay below the threshold", subtitle
     with plans(path, window, _headings(run, found), key_mm, *heading, road=road) as (figure, panels, end):
-        for axes, table, (_, mount) in zip(panels, tables, sides(run.result), strict=True):
+        for axes, table, side in zip(panels, tables, stands, strict=True):
             _draw_ground(axes, road, window, EMPTY_LOOK, image)
             shades = _draw_cells(axes, cells_of(table, side_m))
-            marker = draw_stands(axes, [_stand(mount)])
+            marker = draw_stands(axes, side)
             outlines = [_outline_zone(axes, zone) for zone in zones]
         _below_plans(panels, run, road)
         bar = place(figure, 0.5 * (WIDTH_MM - 84.0), end + 2.0, 84.0, 2.5)
@@ -153,17 +153,21 @@ def _draw_ground(axes: Axes, road: RoadMap, window: np.ndarray, fill: dict, imag
 
 def _headings(run: RunFolder, found: Sequence[str]) -> list[str]:
     """Over each panel the mounting and what was found."""
-    texts = (f"{name}: {mounting_text(mount, leans=leans(run.result))}" for name, mount in sides(run.result))
-    return [f"{text}\n{one}" for text, one in zip(texts, found, strict=True)]
+    return [f"{name}: {text}\n{one}" for (name, text, _), one in zip(sides(run.result), found, strict=True)]
 
 
-def _stand(mount: Mapping[str, float]) -> Stand:
-    return Stand("", (mount["x_m"], mount["y_m"]), math.radians(mount.get("facing_deg", 90.0)))
+def _stands(run: RunFolder) -> list[list[Stand]]:
+    """The LiDARs of each side, with their names where there are several."""
+    return [
+        [Stand(name, (at["x_m"], at["y_m"]), math.radians(at.get("facing_deg", 90.0))) for name, at in mounts.items()]
+        for *_, mounts in sides(run.result)
+    ]
 
 
 def _below_plans(panels: Sequence[Axes], run: RunFolder, road: RoadMap) -> None:
     """North arrow and scale bar below the panels that have a label there."""
-    mount, pointing = run.result["deployment"], run.result.get("pointing")
+    result = next(iter(each_lidar(run.result).values()))
+    mount, pointing = result["deployment"], result.get("pointing")
     for axes in panels:
         if axes.get_xlabel():
             scale_bar(axes)
@@ -290,37 +294,52 @@ def plot_reach(path: str | Path, run: RunFolder, road: RoadMap, image: Image | N
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    tables, mounts = (run.baseline, run.optimised), sides(run.result)
-    poles = [(mount["x_m"], mount["y_m"]) for _, mount in mounts]
-    window = window_of([footprints(tables[0]), poles], _MARGIN_M)
-    by_side = [reaches(table, pole) for table, pole in zip(tables, poles, strict=True)]
-    driven = cells_of(tables[0], _CELL_M)
+    tables, stands = (run.baseline, run.optimised), _stands(run)
+    window = window_of([footprints(tables[0]), *([one.xy for one in side] for side in stands)], _MARGIN_M)
+    found = [
+        [(own, xy, reaches(own, xy)) for own, xy in _by_nearest(table, side)]
+        for table, side in zip(tables, stands, strict=True)
+    ]
+    sectors = [[one for *_, reached in parts for one in reached] for parts in found]
     title = "How far each mounting reaches"
     with plans(
         path,
         window,
-        _headings(run, [*map(_reach_text, by_side)]),
+        _headings(run, [*map(_reach_text, sectors)]),
         15.0,
         title,
         run_text(run.result, held_out=True),
         road=road,
     ) as (figure, panels, _):
-        for axes, found, (_, mount), pole in zip(panels, by_side, mounts, poles, strict=True):
+        for axes, side, parts in zip(panels, stands, found, strict=True):
             _draw_ground(axes, road, window, ASPHALT_LOOK, image)
-            for one in found:
-                _draw_sector(axes, one, pole, driven)
-            _draw_rings(axes, pole, window)
-            marker = draw_stands(axes, [_stand(mount)])
+            for own, xy, reached in parts:
+                driven = cells_of(own, _CELL_M)
+                for one in reached:
+                    _draw_sector(axes, one, xy, driven)
+            if len(side) == 1:
+                _draw_rings(axes, side[0].xy, window)
+            marker = draw_stands(axes, side)
         _below_plans(panels, run, road)
         entries = [
             Patch(label=f"{100.0 * LEAST_SHARE:g} % of the boxes or more are detectable", **_WITHIN),
             Line2D([], [], label="reach ends", **_OUTLINE),
             Line2D([], [], label="farthest box: reach goes on", **{**_OUTLINE, "linestyle": (0, (1, 1))}),
-            *[Patch(label="fewer at every distance", **_UNSEEN)] * (not all(one.far_m for one in chain(*by_side))),
-            Line2D([], [], color=FAINT, linestyle=":", label="distance from the LiDAR"),
+            *[Patch(label="fewer at every distance", **_UNSEEN)] * (not all(one.far_m for one in chain(*sectors))),
+            *[Line2D([], [], color=FAINT, linestyle=":", label="distance from the LiDAR")] * (len(side) == 1),
             marker,
         ]
         legend_below(figure, entries, columns=3)
+
+
+def _by_nearest(
+    table: Mapping[str, np.ndarray], stands: Sequence[Stand]
+) -> Iterator[tuple[Mapping[str, np.ndarray], tuple[float, float]]]:
+    """The boxes of a vehicle table to which each LiDAR is the nearest, and its place; none without boxes."""
+    away = [np.hypot(table["x_m"] - stand.xy[0], table["y_m"] - stand.xy[1]) for stand in stands]
+    nearest = np.argmin(away, axis=0)
+    for number in np.unique(nearest):
+        yield {key: values[nearest == number] for key, values in table.items()}, stands[number].xy
 
 
 def _reach_text(found: Sequence[Reach]) -> str:

@@ -35,6 +35,8 @@ def detection_text(result: Mapping) -> str:
         said += f", and {_percent(given['precision_0.3'])} % of what it finds are vehicles"
     if given["with_return"] is not None:
         said += f"; {_percent(given['with_return'])} % have a return at all"
+    if "detectable_share" in result:
+        said += f", and the fused points make {_percent(result['detectable_share'])} % detectable"
     empty = given.get("without_boxes", 0)
     scenes = f"{result['scans']} scans" if "scans" in result else f"{result['frames']} frames"
     return said + (f"; {empty} of the {scenes} have no detection." if empty else ".")
@@ -45,7 +47,9 @@ def detection_table(result: Mapping) -> TextTable:
     scores = list(result["mountings"].values())
     names, unit = (["all mountings"], "scan") if "scans" in result else (list(result["mountings"]), "frame")
     over, ends_of = scores[-1].get("over_baseline"), scores[-1].get("interval_90")
-    more = ["difference", "90 %"] if over else ["90 %"] if ends_of else []
+    fused = scores[-1].get("over", {})  # by late fusion, which is better than others by so much
+    names = ["late fusion" if fused and name == "given" else name for name in names]
+    more = ["difference", "90 %"] if over or fused else ["90 %"] if ends_of else []
     head = [("[%]", 1), *((name, 1) for name in names), *((m, 1) for m in more)]
     blank = [""] * len(more)
     rows = [("vehicles", *(f"{one['vehicles']:,}" for one in scores), *blank)]
@@ -54,14 +58,17 @@ def detection_table(result: Mapping) -> TextTable:
     for key, text in _ROWS.items():
         cells = [_percent(one[key]) for one in scores]
         if over:
-            difference, ends = over[key]["difference"], over[key]["interval_90"]
-            cells += ["-" if difference is None else f"{100 * difference:+.1f}"]
-            cells += ["-" if ends is None else " to ".join(f"{100 * end:+.1f}" for end in ends)]
+            cells += _difference(over[key])
         elif ends_of:
             cells += ["-" if ends_of[key] is None else " to ".join(map(_percent, ends_of[key]))]
+        else:
+            cells += blank
         rows.append((text, *cells))
     rows.append((f"false alarms a {unit} at 0.3", *(f"{one['false_alarms_0.3']:.2f}" for one in scores), *blank))
-    sections = [("", rows)]
+    sections, of_each = [("", rows)], [""] * len(scores)
+    for name, gains in fused.items():
+        rows = [(what, *of_each, *_difference(gains[key])) for key, what in _TABLED.items()]
+        sections.append((f"Late fusion less {name}", rows))
     for group, title in (("by_distance", "By distance"), ("by_kind", "By kind"), ("by_approach", "By approach")):
         of_group = []
         for name in scores[-1].get(group, ()):
@@ -75,6 +82,13 @@ def detection_table(result: Mapping) -> TextTable:
             continue
         sections.append((title, of_group))
     return TextTable("Detection", [head], sections)
+
+
+def _difference(gain: Mapping) -> list[str]:
+    """A difference and its interval, in points."""
+    ends = gain["interval_90"]
+    difference = "-" if gain["difference"] is None else f"{100 * gain['difference']:+.1f}"
+    return [difference, "-" if ends is None else " to ".join(f"{100 * end:+.1f}" for end in ends)]
 
 
 def _percent(share: float | None) -> str:

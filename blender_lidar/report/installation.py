@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from ..metrics.catalogue import DETECTABLE
 from ..run.tolerance import tolerance_text
 from ..scene.directions import UPRIGHT_DEG, bearing_deg, pointing
 from ..scene.mounting import Mast
@@ -20,8 +21,12 @@ from .summary import (
     as_sentence,
     assumed_texts,
     conditions,
+    in_brackets,
     judged,
     kept_text,
+    measured,
+    over_single_text,
+    percent,
     region_text,
     warnings_text,
     worth,
@@ -31,7 +36,10 @@ _WIDTH = 110
 
 
 def installation_text(site: Site, result: Mapping) -> str:
-    """Instructions for one mounting, as plain text; `result` is the content of result.json."""
+    """Instructions for one mounting, as plain text.
+
+    `result` is as `summary.each_lidar` gives it for the LiDAR that the site has alone.
+    """
     mount = result["deployment"]
     mounting = site.scenario.mounting(mount)
     plumb = replace(mounting, mast=Mast(facing_rad=mounting.mast.facing_rad))
@@ -46,7 +54,7 @@ def installation_text(site: Site, result: Mapping) -> str:
     modelled = standing is not None and len(standing.scenery.beside_road) > 0
     columns = f", {site.model.columns()} columns a turn" if site.model.columns_a_turn else ""
     lines = [
-        f"Installation of one {result['sensor']} LiDAR: {result['site']}",
+        *_which(result),
         "",
         *_accepted(result),
         f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor;",
@@ -82,6 +90,19 @@ def installation_text(site: Site, result: Mapping) -> str:
         *_to_know(result),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _which(result):
+    """Which LiDAR it is, and where the others of its layout hang."""
+    if not result.get("layout"):
+        return [f"Installation of one {result['sensor']} LiDAR: {result['site']}"]
+    count, lines = len(result["lidars"]), []
+    for one in result["lidars"]:
+        at, pole = one["deployment"], f", on pole {one['pole']['name']}" if one["pole"] else ""
+        if one["name"] != result["name"]:
+            place = f"x {at['x_m']:.2f} m, y {at['y_m']:.2f} m, height {at['height_m']:.2f} m"
+            lines.append(f"Beside it    {one['name']} ({one['sensor']}){pole}: {place}")
+    return [f"Installation of LiDAR {result['name']} ({result['sensor']}), one of {count}: {result['site']}", *lines]
 
 
 def _accepted(result):
@@ -180,9 +201,20 @@ def _lowest_beam(site, mounting):
 def _expected(result):
     """What to expect, on the frames that did not choose the mounting where there are any."""
     *_, on = judged(result)
-    lines = [f"Expected, on {on}"]
+    lines, layout, of_layout = [f"Expected, on {on}"], result.get("layout"), ()
+    if layout:
+        own = next(one for one in layout["parts"] if one["name"] == result["name"])
+        points, around = measured(DETECTABLE, *(own["without"][f"share_gain{of}"] for of in ("", "_interval_90")), "+")
+        held = optimum_text({**result, "spread": None})
+        of_layout = (
+            f"these are figures of all {len(result['lidars'])} LiDARs together; {result['name']} alone has "
+            f"{percent(own['alone'])}, and the others gain {points} percentage points{in_brackets(around)} by it",
+            over_single_text(result),
+            held and f"with the others held, {held}",
+        )
     found = (
         worth(result),
+        *of_layout,
         approaches_text(result),
         optimum_text(result),
         next_metre_text(result),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..files import write_text
-from ..run.folder import DETECTION, INSTALLATION, REPORT, RESULT, SCENE, RunFolder, refused_by_name
+from ..run.folder import DETECTION, INSTALLATION, REPORT, RESULT, SCENE, RunFolder, of_lidar, refused_by_name
 from ..toml_table import read_toml
 from ..traffic.vehicles import RepairReport, counted
 from .cautions import cautions, lorries_text, other_traffic_text
@@ -26,12 +26,12 @@ from .summary import (
     boxes_text,
     conditions,
     definitions,
+    each_lidar,
     frames_word,
+    gate_text,
     key_figures,
-    leans,
     minus,
     mounting_name,
-    mounting_text,
     region_text,
     sides,
     warnings_text,
@@ -98,6 +98,11 @@ CHARTS = {
         "Each dot is a mounting that was tried, the line the best so far: where it is flat, further tries found "
         "nothing better.",
     ),
+    "layout.png": (
+        "Detectable share, and price, from one LiDAR to all",
+        "Each dot is the layout of so many LiDARs on the way to all, with its 90 % interval: where it is flat, another "
+        "LiDAR adds little.",
+    ),
     "by_distance.png": (
         "Share of detectable vehicles and mean score by distance from the LiDAR, for both mountings",
         "Each marker stands for 10 m of distance; the bars at the bottom say how many vehicles are behind it.",
@@ -137,6 +142,13 @@ CHARTS = {
     ),
 }
 
+# What is to be added to captions of charts of several LiDARs.
+_OF_SEVERAL = {
+    "score_map.png": " All other LiDARs hang where the search had put them.",
+    "convergence.png": " A vertical line stands where another LiDAR was added.",
+    "reach.png": " A box counts at the LiDAR that is nearest to it.",
+}
+
 # Rendered pictures by where they look from, and what that is called.
 RENDER_VIEWS = {"above": "the road from above", "pole": "the view from the pole"}
 
@@ -148,12 +160,14 @@ def render_file(mounting: str, view: str) -> str:
 
 def chart_figures(run: RunFolder, *files: str) -> list[Markup]:
     """Charts with their captions; those that the folder does not hold are left out."""
-    figures = []
+    names, figures = dict.fromkeys(("", *each_lidar(run.result))), []
     for file in files:
         shows, caption = CHARTS[file]
-        path = run.file(file)
-        if path.exists():
-            figures.append(element("figure", image(path, f"Chart: {shows}"), element("figcaption", caption)))
+        caption += _OF_SEVERAL.get(file, "") if len(names) > 1 else ""
+        for name in names:
+            if (path := run.file(of_lidar(file, name))).exists():
+                text = f"Chart: {shows}{f', LiDAR {name}' * bool(name)}"
+                figures.append(element("figure", image(path, text), element("figcaption", caption)))
     return figures
 
 
@@ -165,9 +179,9 @@ def render_figures(run: RunFolder) -> list[Markup]:
             element(
                 "div",
                 image(path, f"Render: {called}, {name.lower()} mounting"),
-                element("p", element("strong", name), f": {mounting_text(mount, leans=leans(run.result))}"),
+                element("p", element("strong", name), f": {text}"),
             )
-            for mounting, (name, mount) in zip(("baseline", "optimised"), sides(run.result), strict=True)
+            for mounting, (name, text, _) in zip(("baseline", "optimised"), sides(run.result), strict=True)
             if (path := run.file(render_file(mounting, view))).exists()
         ]
         if pictures:
@@ -227,9 +241,16 @@ def report_html(run: RunFolder) -> str:
             _notes(run),
             _where(run),
             _detection(run),
-            _pictures("How sure the optimum is", chart_figures(run, "score_map.png", "convergence.png")),
+            _pictures("How sure the optimum is", chart_figures(run, "layout.png", "score_map.png", "convergence.png")),
             _pictures("What the beams hit", chart_figures(run, "clouds.png", "occupancy.png")),
-            _section("Installation sheet", *sheet_markup(run.read_text(INSTALLATION)), class_="sheet"),
+            *(
+                _section(
+                    f"Installation sheet{f' of {name}' * bool(name)}",
+                    *sheet_markup(run.read_text(of_lidar(INSTALLATION, name))),
+                    class_="sheet",
+                )
+                for name in each_lidar(run.result)
+            ),
             _settings(run),
         )
     return page_html(title, *content)
@@ -255,11 +276,13 @@ def _heading(run: RunFolder):
     if held:
         frames += f", {boxes_text(held)} in {counted(held['frames'], 'held-out one')}"
     figures = [element("div", element("dt", what), element("dd", figure)) for what, figure in key_figures(result)]
+    kind, several = "Best" if was_searched(result) else "A", len(result["lidars"])
+    kind += " mounting of a roadside LiDAR" if several == 1 else f" layout of {several} roadside LiDARs"
     return element(
         "header",
-        element("p", f"{'Best' if was_searched(result) else 'A'} mounting of a roadside LiDAR", class_="kind"),
+        element("p", kind, class_="kind"),
         element("h1", result["site"], " ", element("span", result["sensor"])),
-        element("p", f"Range gate {result['range_gate_m']:g} m · traffic {traffic} · {frames}", class_="facts"),
+        element("p", f"{gate_text(result).capitalize()} · traffic {traffic} · {frames}", class_="facts"),
         element("p", f"Vehicles count {region_text(result['region'])}", class_="facts"),
         *(element("p", f"{text[0].upper()}{text[1:]}", class_="facts") for text in conditions(result)),
         *(element("p", text, class_="warning") for text in warnings_text(result)),

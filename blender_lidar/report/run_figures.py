@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
-from ..run.folder import RunFolder
+from ..run.folder import RunFolder, of_lidar
 from ..run.vehicle_table import APPROACH, METRIC_VALUE, MOVEMENT, WEIGHT
 from ..run.verdict import REGION_SHARE, ScoreMap, near_best_threshold
 from ..scene.site import Site
@@ -29,7 +29,17 @@ from .figure import (
     legend_below,
     sheet,
 )
-from .summary import judged, mounting_name, run_text, sharp_of, sides, was_searched
+from .summary import (
+    each_lidar,
+    gate_text,
+    judged,
+    layout_frames,
+    mounting_name,
+    run_text,
+    sharp_of,
+    sides,
+    was_searched,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,8 +64,11 @@ def draw_charts(site: Site, run: RunFolder) -> list[str]:
     charts = {}
     if was_searched(run.result):
         charts["convergence.png"] = partial(plot_convergence, run=run, history=run.read_history())
-        if (score_map := run.read_score_map()) is not None:
-            charts["score_map.png"] = partial(plot_score_map, run=run, score_map=score_map)
+        for name in each_lidar(run.result):
+            if (found := run.read_score_map(name)) is not None:
+                charts[of_lidar("score_map.png", name)] = partial(plot_score_map, run=run, score_map=found, lidar=name)
+    if (run.result.get("layout") or {}).get("over_single"):
+        charts["layout.png"] = partial(plot_steps, result=run.result)
     road, drawn_on = site.scenario.road_map, site.scenario.plan
     image = (drawn_on.image, drawn_on.image_points) if drawn_on.image else None
     charts |= {
@@ -106,10 +119,18 @@ def plot_convergence(path: str | Path, run: RunFolder, history: np.ndarray) -> N
         line = axes.step(evaluation, metric.shown(best), where="post", label=label, **look)
         label = f"baseline mounting ({metric.amount(baseline)})"
         level = axes.axhline(metric.shown(baseline), label=label, **_line(BASELINE_LOOK))
+        for at in _added_at(run.read_columns()) if len(each_lidar(result)) > 1 else ():
+            axes.axvline(evaluation[at], color=INK, linewidth=0.8, linestyle=":")
         axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.xaxis.get_major_locator().set_params(integer=True)
         axes.grid(visible=True)
         legend_below(figure, [*line, *dots, level], columns=3)
+
+
+def _added_at(history: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Rows of a history from which on one more LiDAR hangs: its coordinates are NaN before."""
+    heights = [np.isfinite(values) for key, values in history.items() if key.endswith(".height_m")]
+    return np.flatnonzero(np.diff(np.sum([np.zeros(len(history["best"])), *heights], axis=0)) > 0) + 1
 
 
 def _line(look: Mapping) -> dict:
@@ -126,20 +147,23 @@ _TILT_LABELS = {
 }
 
 
-def plot_score_map(path: str | Path, run: RunFolder, score_map: ScoreMap) -> None:
+def plot_score_map(path: str | Path, run: RunFolder, score_map: ScoreMap, lidar: str = "") -> None:
     """Draw the objective over the grid of heights and tilts, the optimum, the baseline and the near-best region.
 
+    It is of one LiDAR, of several the one that is named: the baselines of a layout are no point of its map.
     The grid is of mountings that hang as planned: where the run's is the best over a tolerance (robust), the optimum
     is the sharp one, and the robust one has a marker of its own. A mounting outside the grid is marked on its edge.
     """
-    result, metric = run.result, metric_named(run.result["metric"])
+    result, metric = each_lidar(run.result)[lidar], metric_named(run.result["metric"])
     sharp = sharp_of(result)
     marks = [("optimum", result, "*", 13.0), ("baseline", result["baseline"], "s", 7.0)]
     if sharp is not None:
         marks[:1] = [("sharp", sharp, "*", 13.0), ("robust", result, "D", 7.0)]
+    marks = marks[:-1] if lidar else marks
     grid, values = (score_map.tilt_deg, score_map.height_m), metric.shown(score_map.per_vehicle)
     what = "lean" if score_map.tilt == "lean_deg" else "tilt"
-    with sheet(path, 115.0, f"Objective over height and {what}", run_text(result)) as figure:
+    about = f"{what} of {lidar}, the others held" if lidar else what
+    with sheet(path, 115.0, f"Objective over height and {about}", run_text(run.result)) as figure:
         axes = figure.add_subplot(xlabel=_TILT_LABELS[score_map.tilt], ylabel="Mounting height above the road [m]")
         mesh = axes.pcolormesh(*grid, values, cmap=colours(SCORE_COLOURS), shading="gouraud")
         figure.colorbar(mesh, ax=axes, label=metric.in_unit("Objective per vehicle"), pad=0.02)
@@ -200,12 +224,13 @@ def plot_by_distance(path: str | Path, run: RunFolder) -> None:
     edges_m = BAND_M * np.arange(np.concatenate(distances).max(initial=0.0) // BAND_M + 2.0)
     centre_m = edges_m[:-1] + 0.5 * BAND_M
     counts = [np.histogram(distance, edges_m)[0] for distance in distances]
+    nearest = "nearest " if len(each_lidar(result)) > 1 else ""
     title, subtitle = "What is seen, by distance", run_text(result, held_out=True)
     unit = ", ".join(filter(None, [metric.unit, "" if metric.higher_is_better else "lower is better"]))
     with sheet(path, 140.0, title, subtitle) as figure:
         share, score, count = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.4))
         handles = []
-        for table, inside, look, (name, _) in zip(
+        for table, inside, look, (name, *_) in zip(
             (run.baseline, run.optimised), counts, (BASELINE_LOOK, OPTIMISED_LOOK), sides(result), strict=True
         ):
             line = {**look, "label": name.lower(), "clip_on": False, "zorder": 3}
@@ -220,13 +245,36 @@ def plot_by_distance(path: str | Path, run: RunFolder) -> None:
         if not score.dataLim.y0 < 0.0:
             score.set_ylim(bottom=0.0)
         handles += _draw_counts(count, centre_m, counts)
-        labels = {"xlabel": "Horizontal distance from the LiDAR [m]", "ylabel": "Vehicles\n[number]"}
+        labels = {"xlabel": f"Horizontal distance from the {nearest}LiDAR [m]", "ylabel": "Vehicles\n[number]"}
         count.set(xlim=(0.0, edges_m[-1]), ylim=(0.0, None), **labels)
         count.yaxis.get_major_locator().set_params(integer=True)
         for axes in (share, score, count):
             axes.grid(visible=True)
         figure.align_ylabels()
         legend_below(figure, handles, columns=len(handles))
+
+
+def plot_steps(path: str | Path, result: Mapping) -> None:
+    """Draw the detectable share with its interval, and the price where it is known, against the number of LiDARs."""
+    steps = result["layout"]["steps"]
+    number, price = ([step[key] for step in steps] for key in ("lidars", "price"))
+    rows = 1 if None in price else 2
+    about = f"{result['sensor']}, {gate_text(result)}; {layout_frames(result)} frames, 90 % intervals"
+    with sheet(path, 45.0 + 35.0 * rows, "From one LiDAR to all", about) as figure:
+        share, *more = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+        share.plot(number, [100.0 * step["detectable_share"] for step in steps], clip_on=False, **OPTIMISED_LOOK)
+        for step in steps:
+            if ends := step["detectable_share_interval_90"]:
+                share.plot([step["lidars"]] * 2, [100.0 * end for end in ends], color=OPTIMISED_LOOK["color"])
+        share.set(ylabel="Detectable share [%]", ylim=(0.0, 100.0))
+        for axes in more:
+            axes.plot(number, price, clip_on=False, **OPTIMISED_LOOK)
+            axes.set(ylabel="Price", ylim=(0.0, None))
+        added = [f"{step['lidars']}\n{' and '.join(step['added'])}" for step in steps]
+        figure.axes[-1].set_xticks(number, added)
+        figure.axes[-1].set_xlabel("LiDARs, and which was added")
+        for axes in figure.axes:
+            axes.grid(visible=True)
 
 
 def plot_other_traffic(path: str | Path, result: Mapping) -> None:
@@ -285,8 +333,8 @@ def plot_by_approach(path: str | Path, result: Mapping) -> None:
 
     rows = approach_rows(result)
     looks = {"before": BASELINE_LOOK, "after": OPTIMISED_LOOK}
-    names = dict(zip(looks, (name.lower() for name, _ in sides(result)), strict=True))
-    subtitle = f"{result['sensor']}, range gate {result['range_gate_m']:g} m; {judged(result)[2]}"
+    names = dict(zip(looks, (name.lower() for name, *_ in sides(result)), strict=True))
+    subtitle = f"{result['sensor']}, {gate_text(result)}; {judged(result)[2]}"
     with sheet(path, 36.0 + 8.0 * len(rows), "Detectable vehicles by approach and movement", subtitle) as figure:
         axes = figure.subplots()
         for at, row in enumerate(rows):

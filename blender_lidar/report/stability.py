@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..metrics.catalogue import metric_named
+from ..scene.deployment import variable_of
 from ..studies.findings import (
     AT_LEAST_FRAGILE,
     AT_MOST_FRAGILE,
@@ -18,12 +19,13 @@ from ..studies.findings import (
     UNDECIDED,
     VERDICT_RULE,
     VERDICTS,
+    by_name,
     worst,
 )
 from ..studies.variations import SECTIONS
 from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, SMALL_PT, legend_below, sheet
 from .study import Section, StudyReport
-from .summary import place_text
+from .summary import of_name, place_text
 
 
 def _numbers_with(result: Mapping, key: str) -> Mapping:
@@ -40,9 +42,17 @@ def _tilt(result: Mapping) -> str:
     return "lean_deg" if result.get("leans") else "tilt_x_deg"
 
 
+def _mounts(result: Mapping) -> Mapping[str, Mapping]:
+    """Where each LiDAR of the layout in question hangs, by its name."""
+    return by_name(result["mounting"], result.get("lidars", ()))
+
+
 def _about(result: Mapping) -> str:
-    mount = result["mounting"]
-    return f"{result['sensor']} at {mount['height_m']:.2f} m, {mount[_tilt(result)]:.1f} deg; {result['scene']}"
+    mounts = (
+        f"{name} at {mount['height_m']:.2f} m, {mount[_tilt(result)]:.1f} deg".lstrip()
+        for name, mount in _mounts(result).items()
+    )
+    return f"{result['sensor']}{':' if result.get('lidars') else ''} {', '.join(mounts)}; {result['scene']}"
 
 
 # --- the picture ------------------------------------------------------------------------------------------------------
@@ -67,28 +77,34 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
     A loss beyond the rim is drawn on it; shaded is where other traffic puts the optimum of the scene as it is. False
     where there is nothing to draw.
     """
-    changes = [one for one in result["findings"] if "best_tilt_deg" in one["numbers"]]
+    mounts = _mounts(result)
+    best_tilts, optima = (
+        [variable_of(name, key) for name in mounts] for key in ("best_tilt_deg", "tilt_interval_90_deg")
+    )
+    changes = [one for one in result["findings"] if best_tilts[0] in one["numbers"]]
     if not changes:
         return False
-    interval = _numbers_with(result, "tilt_interval_90_deg").get("tilt_interval_90_deg")
+    intervals = _numbers_with(result, optima[0])
     limits = [100.0 * limit for limit in SHARE_LIMITS]
     title = "What one change costs, and where the best tilt would be"
     with sheet(path, _HEADING_MM + _ROW_MM * len(changes), title, _about(result)) as figure:
         from matplotlib.lines import Line2D
 
-        lost, moved = figure.subplots(1, 2, sharey=True, width_ratios=(1.25, 1.0))
+        widths = (1.25, *[1.0 / len(mounts)] * len(mounts))
+        lost, *moved = figure.subplots(1, len(widths), sharey=True, width_ratios=widths)
         for row, one in enumerate(changes):
             look, found = VERDICT_LOOKS[one["verdict"]], one["numbers"]
-            loss, tilts = found["detectable_share_lost"], found["best_tilt_deg"]
+            loss, tilts = found["detectable_share_lost"], [found[key] for key in best_tilts]
             ends = 100.0 * np.array(found["detectable_share_lost_interval_90"] or [loss] * 2)
             rim = float(np.clip(100.0 * loss, _LEAST_POINTS, _MOST_POINTS))
-            for axes, middle, span in ((lost, rim, ends), (moved, float(np.mean(tilts)), (min(tilts), max(tilts)))):
+            best = [(float(np.mean(own)), (min(own), max(own))) for own in tilts]
+            for axes, (middle, span) in zip((lost, *moved), ((rim, ends), *best), strict=True):
                 axes.plot(span, [row, row], color=look["color"], linewidth=1.2, zorder=2)
                 axes.plot(middle, row, linestyle="none", markersize=4.0, clip_on=False, zorder=3, **look)
             if row and one["section"] != changes[row - 1]["section"]:
                 lost.axhline(row - 0.5, color=INK, linewidth=0.6, xmin=-0.7, clip_on=False)
         limit = {"color": INK, "linewidth": 0.8, "linestyle": "--"}
-        for axes, at in ((lost, limits), (moved, [result["mounting"][_tilt(result)]])):
+        for axes, at in zip((lost, *moved), (limits, *([one[_tilt(result)]] for one in mounts.values())), strict=True):
             for x in at:
                 axes.axvline(x, **limit)
             axes.grid(visible=True, axis="x")
@@ -99,15 +115,18 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
         ticks = [-10.0, -1.0, 0.0, *limits, 20.0, _MOST_POINTS]
         lost.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         lost.minorticks_off()
-        moved.set_xlabel(f"Best {_tilt(result).split('_')[0]} under the change [deg]")
+        best = f"Best {_tilt(result).split('_')[0]} under the change [deg]"
+        for name, axes in zip(mounts, moved, strict=True):
+            axes.set_xlabel(f"{name}: best [deg]" if name else best)
         lost.set_yticks(range(len(changes)), [_name(one, ": ") for one in changes], fontsize=SMALL_PT)
         lost.tick_params(axis="y", length=0.0)
         lost.set_ylim(len(changes) - 0.4, -0.6)
         mark = {"linestyle": "none", "markersize": 4.0}
         handles = [Line2D([], [], label=name, **mark, **look) for name, look in VERDICT_LOOKS.items()]
         handles.append(Line2D([], [], label="limits; the mounting", **limit))
-        if interval is not None:
-            moved.axvspan(*interval, color=FAINT, alpha=0.45, linewidth=0.0)
+        if intervals:
+            for axes, key in zip(moved, optima, strict=True):
+                axes.axvspan(*intervals[key], color=FAINT, alpha=0.45, linewidth=0.0)
             handles.append(Line2D([], [], color=FAINT, linewidth=6.0, label="90 % of optima on other traffic"))
         legend_below(figure, handles, columns=3)
     return True
@@ -141,18 +160,24 @@ def _by_section(result: Mapping) -> dict[str, list[Mapping]]:
 
 
 def _head(result: Mapping) -> list[str]:
-    metric, place = metric_named(result["metric"]), place_text(result["mounting"], leans=bool(result.get("leans")))
+    metric, mounts = metric_named(result["metric"]), _mounts(result).items()
+    leans = bool(result.get("leans"))
+    place = "; ".join(of_name(name, place_text(mount, leans=leans)) for name, mount in mounts)
     origin = f"found by {result['search']}, seed {result['seed']}"
     if result["answered_frames"] < result["frames"]:
         origin += f", on {result['answered_frames']} of the frames; --height and --tilt-x give another"
     if result["mounting_given"]:
         origin = "as given"
+    asked, varied = "Mounting", "the best height and tilt are searched again"
+    if result.get("lidars"):
+        asked = "Layout"
+        varied = "each LiDAR's best height and tilt are searched again while the others are held, and all together,"
     best, base = metric.number(result["objective_per_vehicle"]), metric.number(result["baseline_per_vehicle"])
     return [
         f"{result['sensor']}, {result['frames']} frames, {result['vehicles']:,} vehicle observations, "
         f"{result['caster']}, detail {result['detail']}",
-        f"Mounting, {origin}: {place}; {metric.in_unit('objective')} per vehicle {best}, baseline {base}",
-        f"Under each change the best height and tilt are searched again on {result['varied_frames']} of the searched "
+        f"{asked}, {origin}: {place}; {metric.in_unit('objective')} per vehicle {best}, baseline {base}",
+        f"Under each change {varied} on {result['varied_frames']} of the searched "
         "frames, with the other coordinates fixed: that is the rival. A loss is its value minus the mounting's, "
         f"on the {result['judged_frames']} {_JUDGED[result['judged_on']]}, with its 90 % interval",
         VERDICT_RULE,

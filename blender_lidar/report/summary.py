@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +24,38 @@ _TOLD_BELOW = 0.005
 LEVEL_DEG = 0.05  # a smaller angle cannot be set on site
 
 # --- What a run is about: its mountings, what judges them, and what the scores hold under -----------------------------
+
+
+def each_lidar(result: Mapping) -> dict[str, Mapping]:
+    """By the name of each LiDAR of a layout the result as of that one: where it hangs stands as of a single LiDAR.
+
+    Scores stay those of the whole layout. A single LiDAR's is the result itself, under "".
+    """
+    rows, found = result.get("lidars") or (), {}
+    if len(rows) < 2:
+        return {"": result}
+    sharp, spread = sharp_of(result), result["spread"] or {}
+    for number, row in enumerate(rows, start=1):
+        name, table = row["name"], "lidar" if number == 1 else f"lidar {number}"
+        own = {"table": table, "baseline": {**result["baseline"], "deployment": row["baseline"]}}
+        if sharp is not None:
+            own["tolerance"] = {**result["tolerance"], "sharp": {**sharp, "deployment": sharp["deployments"][name]}}
+        if intervals := spread.get("optimum_interval_90"):  # names stand there where several are searched
+            of = {key.rpartition(".")[::2]: ends for key, ends in intervals.items()}
+            of = {key: ends for (lidar, key), ends in of.items() if lidar == name or (not lidar and row["bounds"])}
+            own["spread"] = {**spread, "optimum_interval_90": of}
+        found[name] = {**result, **row, **own}
+    return found
+
+
+def of_name(name: str, text: str) -> str:
+    """A text behind the name of the LiDAR that it is about; that of a single one has none."""
+    return f"{name}: {text}" if name else text
+
+
+def own_table(result: Mapping) -> str:
+    """The table of the scene that says where the LiDAR may hang."""
+    return result.get("table") or ("lidar" if "[lidar] name" in result.get("identity", ()) else "deployment")
 
 
 def was_searched(result: Mapping) -> bool:
@@ -42,9 +75,20 @@ def mounting_name(result: Mapping) -> str:
     return "optimised" if sharp_of(result) is None else "robust"
 
 
-def sides(result: Mapping) -> list[tuple[str, Mapping[str, float]]]:
-    """The mountings that pictures show side by side, the baseline first: what each is called, and where it hangs."""
-    return [("Baseline", result["baseline"]["deployment"]), (mounting_name(result).capitalize(), result["deployment"])]
+def sides(result: Mapping) -> list[tuple[str, str, dict[str, Mapping[str, float]]]]:
+    """What pictures show side by side, the baseline first: what each is called, its text, where each LiDAR hangs."""
+    each = each_lidar(result)
+    found = {"Baseline": {name: one["baseline"]["deployment"] for name, one in each.items()}}
+    found[mounting_name(result).capitalize()] = {name: one["deployment"] for name, one in each.items()}
+    text = partial(mounting_text, leans=leans(result))
+    several = counted(len(each), "LiDAR") if len(each) > 1 else ""
+    return [(name, several or text(mounts[""]), mounts) for name, mounts in found.items()]
+
+
+def gate_text(result: Mapping) -> str:
+    """The range gate, of several LiDARs each different one."""
+    gates = {one["range_gate_m"]: None for one in each_lidar(result).values()}
+    return f"range gate {' and '.join(f'{gate:g}' for gate in gates)} m"
 
 
 def run_text(result: Mapping, *, held_out: bool = False) -> str:
@@ -54,7 +98,7 @@ def run_text(result: Mapping, *, held_out: bool = False) -> str:
     """
     metric = "" if result["metric"] == PE_VGOP.name else f", metric {metric_named(result['metric']).name}"
     return (
-        f"{result['sensor']}, range gate {result['range_gate_m']:g} m, "
+        f"{result['sensor']}, {gate_text(result)}, "
         f"{counted(result['vehicles'], 'vehicle box')} in {counted(result['frames'], 'frame')}{metric}"
         f"{', and held-out frames' if held_out and result['holdout'] else ''}"
     )
@@ -62,7 +106,7 @@ def run_text(result: Mapping, *, held_out: bool = False) -> str:
 
 def leans(result: Mapping) -> bool:
     """Whether a run speaks of a lean and its direction, as its scene does, and not of tilts and yaw."""
-    return result.get("identity", {}).get("[deployment] lean_deg") is not None
+    return result.get("identity", {}).get(f"[{own_table(result)}] lean_deg") is not None
 
 
 def mounting_text(mount: Mapping[str, float], *, leans: bool = False) -> str:
@@ -148,8 +192,12 @@ def warnings_text(result: Mapping) -> list[str]:
 
 def where_text(result: Mapping) -> str:
     """Where the mast stands and which way it faces in the recording's own coordinates."""
-    at = result["pointing"]
-    place = f"the mast stands at x {at['x_m']:.2f} m, y {at['y_m']:.2f} m and faces {at['facing_bearing_deg']:.0f}°"
+    places = []
+    for name, one in each_lidar(result).items():
+        at, mast = one["pointing"], f"mast of {name}" if name else "mast"
+        place = f"the {mast} stands at x {at['x_m']:.2f} m, y {at['y_m']:.2f} m"
+        places.append(f"{place} and faces {at['facing_bearing_deg']:.0f}°")
+    place = "; ".join(places)
     return f"In the recording's own coordinates ({at['frame']}) {place}; bearings are clockwise from their +y."
 
 
@@ -160,7 +208,10 @@ def assumed_texts(result: Mapping) -> list[str]:
 
 def conditions(result: Mapping) -> list[str]:
     """What the scores hold under besides the mounting: an imperfect sensor, scenery."""
-    imperfect = imperfections_text(result["imperfections"])
+    each = {name: imperfections_text(one["imperfections"]) for name, one in each_lidar(result).items()}
+    imperfect = next(iter(each.values()))
+    if len(set(each.values())) > 1:
+        imperfect = "; ".join(f"{name} {text or 'exact'}" for name, text in each.items())
     values = {
         "simulated with an imperfect sensor": imperfect,
         "simulated with scenery": scenery_text(result["scenery"]),
@@ -360,18 +411,48 @@ def answer(result: Mapping) -> str:
     """The mounting and what it is worth against the baseline, with the interval where there is one."""
     kept, (found, _, on) = kept_text(result), judged(result)
     text = f"{_what_to_do(result)}: on {on} ({boxes_text(found)}) {worth(result)}."
-    return text + (f" {as_sentence(kept)}" if kept else "")
+    return " ".join([text, *map(as_sentence, filter(None, (kept, over_single_text(result))))])
+
+
+def over_single_text(result: Mapping) -> str:
+    """What a layout gains over its best single LiDAR, or over what hung already; "" of a single one."""
+    layout, metric = result.get("layout") or {}, metric_named(result["metric"])
+    if not (gain := layout.get("over_single")):
+        return ""
+    first = layout["steps"][0]["added"]
+    what = f"the best single LiDAR {'that was found' if was_searched(result) else 'of them'}"
+    if was_searched(result) and all(one["bounds"] is None for one in result["lidars"] if one["name"] in first):
+        what = "what hung already"
+    measures = [("the detectable share", DETECTABLE, "share_gain", "share_gain_interval_90", "percentage points")]
+    if not metric.of_share:
+        unit = f"{metric.unit} per vehicle".lstrip()
+        measures.append(("the objective", metric, "objective_gain", "interval_90", unit))
+    texts = []
+    for of, measure, key, interval, unit in measures:
+        (number, within), ends = measured(measure, gain[key], gain[interval], "+"), gain[interval]
+        unsure = ", which holds 0: not shown" if ends and ends[0] <= 0.0 <= ends[1] else ""
+        texts.append(f"{of} changes by {minus(number)} {unit}{in_brackets(within + unsure) or ' (no interval)'}")
+    return f"compared with {what} ({' and '.join(first)}), {' and '.join(texts)}, on {layout_frames(result)} frames"
+
+
+def layout_frames(result: Mapping) -> str:
+    """What the frames are called that judge what each LiDAR of a layout adds."""
+    return "held-out" if result["layout"]["judged_on"] == "holdout" else frames_word(result)
 
 
 def key_figures(result: Mapping) -> list[tuple[str, str]]:
     """The few figures that matter, each with what it is."""
-    mount, (found, base, on), metric = result["deployment"], judged(result), metric_named(result["metric"])
+    each, (found, base, on), metric = each_lidar(result), judged(result), metric_named(result["metric"])
     (after, within), (before, _) = share_texts(found), share_texts(base)
-    figures = [
-        ("height above the road", f"{mount['height_m']:.2f} m"),
-        *_orientation(result).items(),
-        (f"detectable on {on}{in_brackets(within)}", f"{before} \N{RIGHTWARDS ARROW} {after} %"),
-    ]
+    if len(each) > 1:
+        figures = [
+            (f"{name}, {one['sensor']}", mounting_text(one["deployment"], leans=leans(one)))
+            for name, one in each.items()
+        ]
+    else:
+        height = f"{result['deployment']['height_m']:.2f} m"
+        figures = [("height above the road", height), *_orientation(result).items()]
+    figures.append((f"detectable on {on}{in_brackets(within)}", f"{before} \N{RIGHTWARDS ARROW} {after} %"))
     gains = {("detectable vehicles", "percentage points"): (DETECTABLE, "detectable_share_gain")}
     if not metric.of_share or _is_weighted(result):
         of = "objective, weighted" if metric.of_share else f"objective{metric.per_vehicle}"
@@ -406,16 +487,21 @@ def sensor_text(result: Mapping) -> str:
 
 def _what_to_do(result):
     """The sentence's beginning: hang it there, or what leaves that in doubt."""
-    place = place_text(result["deployment"], leans=leans(result), pointing=result["pointing"])
-    sensor = sensor_text(result)
+    places = []
+    for name, one in each_lidar(result).items():
+        place = place_text(one["deployment"], leans=leans(one), pointing=one["pointing"])
+        pole = one["pole"] if name else (result.get("poles") or [None])[0]
+        pole = f" on pole {pole['name']}," if pole and (name or better_than_baseline(result)) else ""
+        places.append(f"{sensor_text(one)}{f' {name}' * bool(name)}{pole} {place}")
+    hung = "; the ".join(places)
     if not was_searched(result):
-        return f"The {sensor} {place}"
+        return f"The {hung}"
+    what = "mounting" if len(places) == 1 else "layout"
     if not better_than_baseline(result):
-        return f"No mounting that was tried is better than the baseline; the best of them has the {sensor} {place}"
-    pole = f" on pole {result['poles'][0]['name']}," if result.get("poles") else ""
+        return f"No {what} that was tried is better than the baseline; the best of them has the {hung}"
     if doubt := _doubt(result):
-        return f"{doubt}; the best mounting found has the {sensor}{pole} {place}"
-    return f"Hang the {sensor}{pole} {place}"
+        return f"{doubt}; the best {what} found has the {hung}"
+    return f"Hang the {hung}"
 
 
 def _doubt(result):

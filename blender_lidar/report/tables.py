@@ -14,7 +14,19 @@ from ..metrics.catalogue import DETECTABLE, metric_named
 from ..run.tolerance import tolerance_text
 from ..scene.mounting import ANGLES, COORDINATE_NAMES, LEANS
 from ..traffic.vehicles import counted
-from .summary import aim_text, frames_word, judged, leans, measured, mounting_name, percent, share_texts, sharp_of
+from .summary import (
+    aim_text,
+    each_lidar,
+    frames_word,
+    judged,
+    layout_frames,
+    leans,
+    measured,
+    mounting_name,
+    percent,
+    share_texts,
+    sharp_of,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +48,8 @@ class TextTable:
 
 
 def score_tables(result: Mapping) -> list[TextTable]:
-    """Candidate poles, the mountings side by side, and each of several recordings alone, as far as a run has them."""
-    tables = (poles_table(result), comparison_table(result), recordings_table(result))
+    """Candidate poles, the mountings side by side, what LiDARs add, and recordings alone, as far as a run has them."""
+    tables = (poles_table(result), comparison_table(result), *layout_tables(result), recordings_table(result))
     return [table for table in tables if table is not None]
 
 
@@ -45,15 +57,8 @@ def comparison_table(result: Mapping) -> TextTable:
     """The mountings of a run side by side: the baseline, the sharp one where there is one, the run's own."""
     compared = {"baseline": result["baseline"], "sharp": sharp_of(result), mounting_name(result): result}
     compared = {name: scores for name, scores in compared.items() if scores is not None}
-    mounts = [scores["deployment"] for scores in compared.values()]
-    shown = COORDINATE_NAMES.keys() - (ANGLES if leans(result) else LEANS)
-    always = ("height_m", "lean_deg" if leans(result) else "tilt_x_deg")
-    mounting = [
-        (f"{name} [{unit}]", *("-" if mount[key] is None else f"{mount[key]:.2f}" for mount in mounts))
-        for key, (name, unit) in COORDINATE_NAMES.items()
-        if key in shown and (key in always or any(mount[key] for mount in mounts))
-    ]
-    sections = [("", mounting), *_score_sections(result, list(compared.values()))]
+    sections = [(name, _mounting_rows(one)) for name, one in each_lidar(result).items()]
+    sections += _score_sections(result, list(compared.values()))
     if (block := result.get("tolerance")) is not None:
         robust = [block["robust"][name] for name in ("baseline", "sharp", "optimised") if name in block["robust"]]
         over = f", {tolerance_text(block['settings'])}: {aim_text(block['settings'])}"
@@ -61,6 +66,52 @@ def comparison_table(result: Mapping) -> TextTable:
     *others, last = compared
     head = [("Mounting", 1), *((name, 1) for name in compared)]
     return TextTable(f"{', '.join(others).capitalize()} and {last} mounting", [head], sections)
+
+
+def _mounting_rows(result):
+    """Where a LiDAR hangs in each of the mountings that are compared."""
+    mounts = [one["deployment"] for one in (result["baseline"], sharp_of(result), result) if one is not None]
+    shown = COORDINATE_NAMES.keys() - (ANGLES if leans(result) else LEANS)
+    always = ("height_m", "lean_deg" if leans(result) else "tilt_x_deg")
+    return [
+        (f"{name} [{unit}]", *("-" if mount[key] is None else f"{mount[key]:.2f}" for mount in mounts))
+        for key, (name, unit) in COORDINATE_NAMES.items()
+        if key in shown and (key in always or any(mount[key] for mount in mounts))
+    ]
+
+
+def layout_tables(result: Mapping) -> list[TextTable]:
+    """What each of several LiDARs adds, and what each number of them comes to; none of a single LiDAR."""
+    if not (layout := result.get("layout")):
+        return []
+    metric, on = metric_named(result["metric"]), f"on {layout_frames(result)} frames"
+    unit = "objective %" if metric.of_share else metric.unit or "objective"
+    columns = _head("", "price", "detectable [%]", "90 %", "points", "90 %", unit, "90 %", "shown")
+
+    def row(what: str, price: float | None, scores: Mapping, gain: Mapping | None) -> tuple[str, ...]:
+        cells = [what, "" if price is None else f"{price:g}", *share_texts(scores)]
+        if gain is None:
+            return (*cells, *[""] * 5)
+        cells += measured(DETECTABLE, gain["share_gain"], gain["share_gain_interval_90"], "+")
+        cells += measured(metric, gain["objective_gain"], ends := gain["interval_90"], "+")
+        return (*cells, _YES[ends[0] > 0.0] if ends else "")
+
+    lidars = zip(result["lidars"], layout["parts"], strict=True)
+    parts = [row(f"{of['name']}, {of['sensor']}", of["price"], one["alone"], one["without"]) for of, one in lidars]
+    steps = [
+        row(f"{one['lidars']}: {'+ ' * bool(one['gain'])}{', '.join(one['added'])}", one["price"], one, one["gain"])
+        for one in layout["steps"]
+    ]
+    by = [
+        (f"{one['lidars']} or more", "", *measured(DETECTABLE, one["share"], one["interval_90"]), *[""] * 5)
+        for one in layout["covered_by"]
+    ]
+    adds = [("LiDAR", 2), ("alone", 2), ("the layout gains by it", 5)]
+    goes = [("LiDARs, and which is added", 2), ("of the boxes", 2), ("gain of the step", 5)]
+    return [
+        TextTable(f"What each LiDAR adds, {on}", [adds, columns], [("", parts)]),
+        TextTable(f"From one LiDAR to all, {on}", [goes, columns], [("", steps), ("By so many LiDARs themselves", by)]),
+    ]
 
 
 def _score_sections(result, compared, over=""):
@@ -153,16 +204,20 @@ def poles_table(result: Mapping) -> TextTable | None:
         if held:
             ends, apart = scores["interval_90"], scores["differs"]
             difference, within = measured(metric, scores["difference_to_best"], ends, "+")
-            cells += [difference if pole["rank"] > 1 else "", within, {None: "", True: "yes", False: "no"}[apart]]
-        cells += [
-            "" if pole["cost"] is None else f"{pole['cost']:g}",
-            {None: "", True: "yes", False: "no"}[pole["existing"]],
-        ]
+            cells += [difference if pole["rank"] > 1 else "", within, _YES[apart]]
+        cells += ["" if pole["cost"] is None else f"{pole['cost']:g}", _YES[pole["existing"]]]
         rows.append((pole["name"], *cells))
     judged_on = "held-out frames" if held else f"{frames_word(result)} frames"
     head = ["pole, best first", "height on it [m]", metric.in_unit("objective per vehicle"), "detectable"]
     head += ["difference", "90 %, all together", "differs"] * held + ["cost", "existing"]
-    return TextTable(f"Candidate poles, on {judged_on}", [[(text, 1) for text in head]], [("", rows)])
+    return TextTable(f"Candidate poles, on {judged_on}", [_head(*head)], [("", rows)])
+
+
+def _head(*texts):
+    return [(text, 1) for text in texts]
+
+
+_YES = {None: "", True: "yes", False: "no"}
 
 
 def recordings_table(result: Mapping) -> TextTable | None:
