@@ -335,7 +335,7 @@ def test_the_picture_shows_what_was_matched_in_the_median_frame_and_is_on_the_pa
     frame, (baseline, given), title, subtitle = shown
     assert title == f"RS-16: what the detector classical finds in frame {frame.vehicles.frame}"
     assert subtitle.endswith("held-out frames; confidence 0.3 or more, hits within 2 m")
-    assert (baseline.name, given.name, given.mounting.height_m) == ("Baseline", "Given", 4.5)
+    assert (baseline.name, given.name, given.layout[0].height_m) == ("Baseline", "Given", 4.5)
     rows = np.genfromtxt(tmp_path / "run" / "vehicles.csv", delimiter=",", names=True, dtype=None, encoding=None)
     counts = np.sort(np.unique(rows["frame"][rows["split"] == "holdout"], return_counts=True)[1])
     assert frame.counted.sum() == counts[len(counts) // 2]

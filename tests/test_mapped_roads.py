@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_lidar.detection.judge import detection_result, judge_detector, judged_boxes, watched
+from blender_lidar.detection.judge import detection_result, judge_detectors, judged_boxes, watched
 from blender_lidar.detection.pillars import PillarsDetector
 from blender_lidar.detection.scores import recall
 from blender_lidar.detection.stored import read_dataset
@@ -198,7 +198,7 @@ def test_detectors_look_where_vehicles_count_and_find_some(site):
         assert ((xy >= low) & (xy <= high)).all()
     mounting = site.scenario.mounting({"height_m": 5.0, "tilt_x_deg": 12.0})
     detector = PillarsDetector("RS-16", mounting.pose, low, high)
-    judged = judge_detector(replace(site, holdout=site.holdout[:2]), mounting, detector)
+    judged = judge_detectors(replace(site, holdout=site.holdout[:2]), (mounting,), [detector])["given"]
     assert sum(map(len, judged.boxes)) >= 10
     assert recall(judged.matches[0], 0.1)[0] > 0.25
 

@@ -26,18 +26,19 @@ from .scan import NO_CLASS, PointCloud, class_names
 def write_npz(path: str | Path, cloud: PointCloud, header: dict, more: Mapping[str, np.ndarray] | None = None) -> None:
     """Write every attribute of a cloud, and `header` as JSON, to an NPZ file; angles become degrees.
 
-    `more` are further arrays, by their names.
+    `more` are further arrays, by their names. Only a cloud of several LiDARs has the column `lidar`.
     """
+    more = {**({"lidar": cloud.lidar} if LIDARS in header else {}), **(more or {})}
     columns = {name: getattr(cloud, name) for name in ("xyz", "range_m", "ring", "time_s", "vehicle_id", "intensity")}
     columns |= {f"{name}_deg": np.degrees(getattr(cloud, f"{name}_rad")) for name in ("azimuth", "incidence")}
     packed = io.BytesIO()  # as a ZipFile on a full disk would complain again when it is collected
-    columns |= {"class": class_names(cloud.class_index), "header": json.dumps(header), **(more or {})}
+    columns |= {"class": class_names(cloud.class_index), "header": json.dumps(header), **more}
     np.savez_compressed(packed, **columns)
     write_bytes(path, packed.getvalue())
 
 
 def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
-    """A cloud and its header from an NPZ file that `write_npz` has written.
+    """A cloud in the road frame and its header from an NPZ file that `write_npz` has written.
 
     Raises
     ------
@@ -49,7 +50,11 @@ def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
             held = read_npz(path)
             columns = {name: held[name] for name in (*_OF_POINTS, *_ANGLES)}
             names, header = held["class"].ravel().tolist(), json.loads(str(held["header"]))
+            columns["lidar"] = held.get("lidar", np.zeros(len(names), dtype=np.uint8))
             _check_cloud(columns, names, header)
+            if TO_SITE in header:
+                matrix = np.array(header[TO_SITE], dtype=float).reshape(4, 4).T
+                columns["xyz"] = columns["xyz"] @ matrix[:3, :3] + matrix[3, :3]
         except KeyError as error:
             raise InputError(f"{path}: is not an NPZ cloud of scan: has no {error}") from error
         except ValueError as error:
@@ -61,6 +66,7 @@ def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
 
 _OF_POINTS = ("xyz", "range_m", "ring", "time_s", "vehicle_id", "intensity")
 _ANGLES = ("azimuth_deg", "incidence_deg")
+LIDARS, TO_SITE = "lidars", "to_site"  # in headers: those of several LiDARs; the matrix from a sensor's own frame
 _OF_HEADER = {"sensor": str, "frame": int, "rotation_hz": (int, float), "pose": dict}
 
 
@@ -72,11 +78,13 @@ def _check_cloud(columns: dict[str, np.ndarray], names: list, header: dict) -> N
             raise ValueError(f"{name} has shape {values.shape} of {values.dtype}")
         if not np.isfinite(values).all():
             raise ValueError(f"{name} is not finite")
-    for key, kind in _OF_HEADER.items():
-        if not isinstance(header, dict) or not isinstance(header.get(key), kind):
-            raise ValueError(f"its header has no {key}")
-    if not all(isinstance(header["pose"].get(key), (int, float)) for key in ("x_m", "y_m", "height_m", "yaw_deg")):
-        raise ValueError("its header's pose lacks coordinates")
+    several = isinstance(header, dict) and isinstance(header.get(LIDARS), list) and header[LIDARS]
+    for one in several or [header]:
+        for key, kind in _OF_HEADER.items():
+            if not isinstance(one, dict) or not isinstance(one.get(key), kind):
+                raise ValueError(f"its header has no {key}")
+        if not all(isinstance(one["pose"].get(key), (int, float)) for key in ("x_m", "y_m", "height_m", "yaw_deg")):
+            raise ValueError("its header's pose lacks coordinates")
 
 
 def _read_npz(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | None]:
@@ -102,17 +110,19 @@ _RECORD = np.dtype(
         *[("ring", "<u2"), ("time", "<f8"), ("vehicle_id", "<i4"), ("class", "<i1")],
     ]
 )
-_PLY_TYPES = {"f4": "float", "u2": "ushort", "f8": "double", "i4": "int", "i1": "char"}
+_PLY_TYPES = {"f4": "float", "u1": "uchar", "u2": "ushort", "f8": "double", "i4": "int", "i1": "char"}
 
 
-def _records(path: str | Path, cloud: PointCloud) -> bytes:
-    """The points of a cloud, one after another."""
+def _records(path: str | Path, cloud: PointCloud, header: Mapping) -> np.ndarray:
+    """The points of a cloud, one after another; of several LiDARs each has its number."""
     _check_ids_fit(path, cloud.vehicle_id, 31, f"32 bits of a {Path(path).suffix.lstrip('.').upper()} file")
-    record = np.zeros(len(cloud), dtype=_RECORD)
+    record = np.zeros(len(cloud), dtype=_RECORD.descr + [("lidar", "|u1")] * (LIDARS in header))
     record["x"], record["y"], record["z"] = cloud.xyz.T
     record["intensity"], record["ring"], record["time"] = cloud.intensity, cloud.ring, cloud.time_s
     record["vehicle_id"], record["class"] = cloud.vehicle_id, cloud.class_index
-    return record.tobytes()
+    if LIDARS in header:
+        record["lidar"] = cloud.lidar
+    return record
 
 
 def _check_ids_fit(path: str | Path, vehicle_id: np.ndarray, bits: int, where: str) -> None:
@@ -132,15 +142,16 @@ def write_ply(path: str | Path, cloud: PointCloud, header: dict) -> None:
     OutputError
         If the file cannot be written, or a vehicle's id does not fit into its 32 bits.
     """
+    record = _records(path, cloud, header)
     lines = [
         "ply",
         "format binary_little_endian 1.0",
         f"comment {json.dumps(header)}",
         f"element vertex {len(cloud)}",
-        *(f"property {_PLY_TYPES[_RECORD[name].str[1:]]} {name}" for name in _RECORD.names),
+        *(f"property {_PLY_TYPES[record.dtype[name].str[1:]]} {name}" for name in record.dtype.names),
         "end_header",
     ]
-    write_bytes(path, ("\n".join(lines) + "\n").encode("ascii") + _records(path, cloud))
+    write_bytes(path, ("\n".join(lines) + "\n").encode("ascii") + record.tobytes())
 
 
 def write_pcd(path: str | Path, cloud: PointCloud, header: dict) -> None:
@@ -153,12 +164,13 @@ def write_pcd(path: str | Path, cloud: PointCloud, header: dict) -> None:
     OutputError
         If the file cannot be written, or a vehicle's id does not fit into its 32 bits.
     """
-    kinds = [_RECORD[name] for name in _RECORD.names]
+    record = _records(path, cloud, header)
+    kinds = [record.dtype[name] for name in record.dtype.names]
     lines = [
         "# .PCD v0.7 - Point Cloud Data file format",
         f"# {json.dumps(header)}",
         "VERSION 0.7",
-        f"FIELDS {' '.join(_RECORD.names).replace('time', 'timestamp')}",
+        f"FIELDS {' '.join(record.dtype.names).replace('time', 'timestamp')}",
         f"SIZE {' '.join(str(kind.itemsize) for kind in kinds)}",
         f"TYPE {' '.join(kind.kind.upper() for kind in kinds)}",
         f"COUNT {' '.join('1' for _ in kinds)}",
@@ -168,7 +180,7 @@ def write_pcd(path: str | Path, cloud: PointCloud, header: dict) -> None:
         f"POINTS {len(cloud)}",
         "DATA binary",
     ]
-    write_bytes(path, ("\n".join(lines) + "\n").encode("utf-8") + _records(path, cloud))
+    write_bytes(path, ("\n".join(lines) + "\n").encode("utf-8") + record.tobytes())
 
 
 @contextmanager
@@ -270,14 +282,16 @@ def write_las(path: str | Path, cloud: PointCloud, header: dict) -> None:
     las.vlrs.append(
         laspy.VLR("blender_lidar", _USER_RECORD, "JSON header", record_data=json.dumps(header).encode("utf-8"))
     )
-    for name, kind in (("ring", "u2"), ("vehicle_id", "i4"), ("class_index", "i1")):
+    extra = ("ring", "u2"), ("vehicle_id", "i4"), ("class_index", "i1"), *([("lidar", "u1")] * (LIDARS in header))
+    for name, kind in extra:
         las.add_extra_dim(laspy.ExtraBytesParams(name, kind))
     las.x, las.y, las.z = cloud.xyz.T
     las.intensity = np.round(cloud.intensity * 65535).astype(np.uint16)
     las.gps_time = cloud.time_s
     las.return_number = las.number_of_returns = np.ones(len(cloud), dtype=np.uint8)
     las.classification = np.where(cloud.vehicle_id >= 0, _CLASSIFICATION_VEHICLE, _CLASSIFICATION_ROAD).astype(np.uint8)
-    las.ring, las.vehicle_id, las.class_index = cloud.ring, cloud.vehicle_id, cloud.class_index
+    for name, _ in extra:
+        las[name] = getattr(cloud, name)
     packed = io.BytesIO()
     try:
         las.write(packed, do_compress=Path(path).suffix.lower() == ".laz")
@@ -359,6 +373,19 @@ def levelled(xyz: np.ndarray, pose: Pose) -> np.ndarray:
     cos, sin = np.cos(pose.yaw), np.sin(pose.yaw)
     across, ahead = cos * east + sin * north, cos * north - sin * east  # the LiDAR's x and y
     return np.column_stack([ahead, -across, up])
+
+
+def in_own_frame(cloud: PointCloud, header: Mapping[str, object], *, level: bool) -> tuple[PointCloud, dict]:
+    """A cloud in the frame of the sensor whose pose the header holds, tilted as it hangs, for `write_cloud`.
+
+    The header then has ``to_site`` (4, 4), the matrix that takes the file's points, columns of x, y, z [m] and 1, into
+    the road frame. With `level` it is that of `levelled`, and the points are left to the format's own writer.
+    """
+    pose = Pose.from_table(header["pose"])
+    turn = levelled(np.eye(3) + pose.position, pose) if level else pose.rotation.T
+    to_site = [[*row, place] for row, place in zip(turn.tolist(), pose.position.tolist(), strict=True)]
+    header = {**header, TO_SITE: [*to_site, [0.0, 0.0, 0.0, 1.0]]}
+    return (cloud if level else replace(cloud, xyz=pose.to_sensor(cloud.xyz))), header
 
 
 # --- Folders of SUSTechPOINTS, the annotation tool of the paper: https://github.com/naurril/SUSTechPOINTS -

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..casting.protocol import Revolution
 from ..scene.observation import CountedFrame, Observation, Scoring
-from ..scoring.frame_scorer import FrameScorer, FrameShapes, singles
+from ..scoring.frame_scorer import FrameScorer, FrameShapes
 from ..scoring.scores import Scored, VehicleScores
 from ..sensors.pose import Pose
 from .scan import FrameScan, PointCloud, Stands
@@ -27,10 +27,14 @@ class Look(NamedTuple):
         As from `scan`.
     scored : Scored or None
         Of this one mounting, as from `VehicleScores`; None where nothing is scored.
+    pose, hits : Pose, Revolution
+        Where it looked from, and what its beams met of the vehicles, behind nothing that stands still.
     """
 
     cloud: PointCloud
     scored: Scored | None
+    pose: Pose
+    hits: Revolution
 
 
 class LiveFrame:
@@ -51,23 +55,20 @@ class LiveFrame:
 
     Attributes
     ----------
-    frame : CountedFrame
+    frame, observation, scoring, shapes
+        What it was made of, the observation as it is at the frame's moment.
     """
 
     def __init__(
         self, frame: CountedFrame, observation: Observation, scoring: Scoring | None, *, ground: bool = True
     ) -> None:
-        self.frame, vehicles = frame, frame.vehicles
-        observation = observation.at(vehicles.time_s)
-        shapes = FrameShapes(vehicles, frame.counted, observation.detail, observation.caster)
-        self._scan = FrameScan(shapes, vehicles, observation, ground=ground)
+        self.frame, self.scoring, vehicles = frame, scoring, frame.vehicles
+        self.observation = observation = observation.at(vehicles.time_s)
+        self.shapes = FrameShapes(vehicles, frame.counted, observation.detail, observation.caster)
+        self._scan = FrameScan(self.shapes, vehicles, observation, ground=ground)
         self._scenery = observation.scenery
         self._about: np.ndarray | None = None  # the middle of where the scenery's tree is ready
-        self._scores = self._scorer = None
-        if scoring is not None:
-            self._scores = VehicleScores(scoring, observation, [frame])
-            # What scenery hides is left out here, as the cloud needs to know of it too.
-            self._scorer = FrameScorer(vehicles, frame.counted, replace(observation, scenery=None), shapes)
+        self._scores = None if scoring is None else FusedScores([self])
 
     def look(self, pose: Pose, also: Sequence[Stands] = ()) -> Look:
         """The cloud and the scores from a mounting; what `also` stands there returns and hides.
@@ -82,14 +83,27 @@ class LiveFrame:
             self._about = pose.position
             self._scenery.tree.make_ready(pose.position - DRAG_M, pose.position + DRAG_M)
         turn = self._scan.turn(pose, also)
-        return Look(self._scan.cloud(pose, turn), None if self._scores is None else self._score(pose, turn))
-
-    def _score(self, pose, turn) -> Scored:
         hits, nearest = turn.vehicles, np.full(len(turn.directions), np.inf)  # of what stands still, by each beam
         for beam, distance, *_ in turn.standing:
             nearest[beam] = np.minimum(nearest[beam], distance)
         shown = hits.distance <= nearest[hits.beam]
-        hits = Revolution(*(column[..., shown] for column in hits))
-        layouts = singles([pose])
-        seen = self._scorer.seen_of(layouts, [(hits,)], keep_returns=self._scores.needs_returns)
-        return self._scores.of_seen(self.frame, self._scorer, seen, layouts)
+        look = Look(self._scan.cloud(pose, turn), None, pose, Revolution(*(column[..., shown] for column in hits)))
+        return look if self._scores is None else look._replace(scored=self._scores.of([look]))
+
+
+class FusedScores:
+    """Scores of LiDARs that hang together, made of what each has cast already of one frame; as `VehicleScores`."""
+
+    def __init__(self, frames: Sequence[LiveFrame]) -> None:
+        first, lidars = frames[0], tuple(one.observation.lidar for one in frames)
+        observation = replace(first.observation, lidars=lidars)
+        self._frame, self._scores = first.frame, VehicleScores(first.scoring, observation, [first.frame])
+        # What scenery hides is left out of the hits, as the cloud needs to know of it too.
+        observation = replace(observation, scenery=None)
+        self._scorer = FrameScorer(first.frame.vehicles, first.frame.counted, observation, first.shapes)
+
+    def of(self, looks: Sequence[Look]) -> Scored:
+        """Of the layout of which each LiDAR has looked."""
+        layouts, turns = [[look.pose for look in looks]], [[look.hits for look in looks]]
+        seen = self._scorer.seen_of(layouts, turns, keep_returns=self._scores.needs_returns)
+        return self._scores.of_seen(self._frame, self._scorer, seen, layouts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -46,6 +46,8 @@ class PointCloud:
         Angle between beam and surface normal [rad]; 0 is head-on.
     intensity : ndarray, (n,)
         Lambert's law by surface class, falling with the square of the range, 0 to 1.
+    lidar : ndarray of uint8, (n,)
+        Number of the LiDAR in the order of its layout; 0 where there is one.
     """
 
     xyz: np.ndarray
@@ -57,6 +59,7 @@ class PointCloud:
     class_index: np.ndarray
     incidence_rad: np.ndarray
     intensity: np.ndarray
+    lidar: np.ndarray
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -166,6 +169,7 @@ class FrameScan:
             class_index=np.append(vehicles.class_index, np.int8(NO_CLASS))[owner[kept]],
             incidence_rad=np.arccos(np.clip(cosine[kept], 0.0, 1.0)),
             intensity=REFLECTIVITY[surface[kept]] * cosine[kept] * _fall(distance[kept]),
+            lidar=np.zeros(len(kept), dtype=np.uint8),
         )
 
 
@@ -181,6 +185,13 @@ def scan(vehicles: Vehicles, observation: Observation, pose: Pose, *, ground: bo
     shapes = FrameShapes(vehicles, none, observation.detail, observation.caster)
     frame = FrameScan(shapes, vehicles, observation, ground=ground)
     return frame.cloud(pose, frame.turn(pose))
+
+
+def joined_clouds(clouds: Sequence[PointCloud]) -> PointCloud:
+    """The clouds of a layout's LiDARs as one, LiDAR after LiDAR; a single one as it is."""
+    columns = {one.name: np.concatenate([getattr(cloud, one.name) for cloud in clouds]) for one in fields(PointCloud)}
+    columns["lidar"] = np.repeat(np.arange(len(clouds), dtype=np.uint8), list(map(len, clouds)))
+    return PointCloud(**columns)
 
 
 def class_names(class_index: np.ndarray) -> np.ndarray:

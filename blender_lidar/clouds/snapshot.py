@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ import numpy as np
 from ..casting import resolve
 from ..casting.protocol import StandingScenery
 from ..metrics.vgop import pe_vgop, to_vehicle_frame
-from ..scene.mounting import Mounting
+from ..scene.mounting import Layout, Mounting
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario
 from ..scene.settings import ObjectiveSettings
@@ -22,7 +22,8 @@ from ..traffic.boxes import DetectedBoxes
 from ..traffic.vehicles import Vehicles
 from ..world.needs_blender import blender_room
 from ..world.scenery import Scenery
-from .scan import PointCloud, scan
+from .files import LIDARS
+from .scan import PointCloud, joined_clouds, scan
 
 if TYPE_CHECKING:
     from ..world.blender.scene import Moment
@@ -53,7 +54,7 @@ class MountedSensor:
 
     def scan(self, vehicles: Vehicles) -> PointCloud:
         """One revolution over a frame, ground included."""
-        observation = observation_of(self.scenario, self.lattice, self.caster, self.scenery)
+        observation = observation_of(self.scenario, self.caster, self.scenery)
         return scan(vehicles, observation, self.mounting.pose, ground=self.scenario.plane_returns)
 
     def cloud_header(self, vehicles: Vehicles) -> dict[str, object]:
@@ -75,20 +76,9 @@ class MountedSensor:
             **({"road": slopes} if slopes else {}),
         }
 
-    def moment(
-        self,
-        vehicles: Vehicles,
-        *,
-        with_cloud: bool = True,
-        detections: Mapping[int, DetectedBoxes] = MappingProxyType({}),
-    ) -> Moment:
-        """A frame, what the sensor sees of it and what a detector found, for `world.blender.scene`."""
-        moment_class = blender_room("scene", "a scene to be shown").Moment
-        points = None
-        if with_cloud:
-            cloud = self.scan(vehicles)
-            points = vertices_of(cloud, vehicles, entropy_of_vehicles(cloud, vehicles, self.scenario.objective))
-        return moment_class(
+    def moment(self, vehicles: Vehicles, detections: Mapping[int, DetectedBoxes], points: Mapping | None) -> Moment:
+        """A frame, the `points` that the sensor sees of it and what a detector found, for `world.blender.scene`."""
+        return blender_room("scene", "a scene to be shown").Moment(
             road=self.scenario.road_map,
             vehicles=vehicles,
             detail=self.scenario.world.detail,
@@ -98,18 +88,49 @@ class MountedSensor:
             points=points,
             scenery=None if self.scenery is None else self.scenery.at(vehicles.time_s).scenery,
             settings=self.scenario.with_whole_paths(),
+            name=self.scenario.lidar_name or "LiDAR",
             detections=detections,
         )
 
 
-def mounted_sensor(scenario: Scenario, mounting: Mounting, more: Scenery | None = None) -> MountedSensor:
-    """The scene's sensor at a mounting; `more` stands there besides what [world] says."""
+def mounted_sensors(scenario: Scenario, layout: Layout, more: Scenery | None = None) -> tuple[MountedSensor, ...]:
+    """Each of the scene's sensors at its mounting: all see the same scenery."""
     caster = resolve(scenario.model.caster, "caster")
-    scenery = standing_scenery(scenario, caster, [mounting], more)
-    return MountedSensor(scenario, mounting, lattice_of(scenario.sensor), caster, scenery)
+    scenery = standing_scenery(scenario, caster, layout, more)
+    each = zip(scenario.each, layout, strict=True)
+    return tuple(MountedSensor(one, mounting, lattice_of(one.sensor), caster, scenery) for one, mounting in each)
 
 
-def vertices_of(cloud: PointCloud, vehicles: Vehicles, entropy_bits: np.ndarray) -> dict[str, np.ndarray]:
+def fused_moment(
+    scenario: Scenario,
+    sensors: Sequence[MountedSensor],
+    vehicles: Vehicles,
+    *,
+    with_cloud: bool = True,
+    detections: Mapping[int, DetectedBoxes] = MappingProxyType({}),
+) -> Moment:
+    """A frame under all LiDARs of a scene, each with its own cloud; PE-VGOP in them is that of all points together."""
+    points: list[Mapping | None] = [None] * len(sensors)
+    if with_cloud:
+        clouds = [one.scan(vehicles) for one in sensors]
+        bits = entropy_of_vehicles(joined_clouds(clouds), vehicles, scenario.objective)
+        points = [vertices_of(cloud, vehicles, bits, number) for number, cloud in enumerate(clouds)]
+    first, *further = (one.moment(vehicles, detections, of) for one, of in zip(sensors, points, strict=True))
+    return replace(first, settings=scenario.with_whole_paths(), further=tuple(further))
+
+
+def fused_header(sensors: Sequence[MountedSensor], vehicles: Vehicles) -> dict[str, object]:
+    """What made the joined cloud of a frame: the header of each LiDAR's, by its name; that of a single one as it is.
+
+    `pose` is the first LiDAR's, in whose levelled frame formats of a sensor's frame have all points.
+    """
+    rows = [{"name": one.scenario.lidar_name, **one.cloud_header(vehicles)} for one in sensors]
+    if len(rows) == 1:
+        return sensors[0].cloud_header(vehicles)
+    return {key: rows[0][key] for key in ("frame", "caster", "detail", "versions", "pose")} | {LIDARS: rows}
+
+
+def vertices_of(cloud: PointCloud, vehicles: Vehicles, entropy_bits: np.ndarray, lidar: int = 0) -> dict:
     """A cloud, and PE-VGOP (v,) of the frame's vehicles, as `world.blender.points.show_cloud` takes them.
 
     Points that lie on no vehicle have 0 bits; `lidar` is the number of the LiDAR that has measured them.
@@ -125,7 +146,7 @@ def vertices_of(cloud: PointCloud, vehicles: Vehicles, entropy_bits: np.ndarray)
         "vehicle": cloud.vehicle_id,
         "entropy": bits,
         "time": cloud.time_s,
-        "lidar": np.zeros(len(cloud), dtype=int),
+        "lidar": np.full(len(cloud), lidar),
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from contextlib import ExitStack, closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from ..detection.dataset import TRAIN, VAL, DatasetPlan, plan_dataset
@@ -26,25 +26,41 @@ def run(args: argparse.Namespace) -> int:
     asked = options_of(args, DatasetOptions)
     layouts = _layouts(asked)
     scenario = scenario_from(args)
-    folder = DatasetFolder(args.out if args.out is not None else default_folder(scenario, "dataset"))
-    folder.check()
-    site = prepare(scenario)
-    plan = plan_dataset(site, asked.mountings, asked.scans, scenario.search.seed, as_recorded=asked.as_recorded)
+    whole = DatasetFolder(args.out if args.out is not None else default_folder(scenario, "dataset"))
+    several = len(scenario.lidars) > 1
+    folders = [DatasetFolder(whole.path / lidar.name) if several else whole for lidar in scenario.lidars]
+    for folder in folders:
+        folder.check()
+    texts, results = [], {}
+    for site, folder in zip(prepare(scenario).each, folders, strict=True):
+        result = _write(asked, layouts, site, folder, joined=several)
+        texts.append(_summary(result, folder.path))
+        results[site.scenario.lidar_name] = result
+    return say_result(args, "\n\n".join(texts), results if several else result)
+
+
+def _write(asked: DatasetOptions, layouts: tuple[str, ...], site: Site, folder: DatasetFolder, *, joined: bool) -> dict:
+    """The data set of one LiDAR; `joined` where it is one of several, whose scans of a number show the same traffic."""
+    scenario, as_recorded = site.scenario, asked.as_recorded or joined
+    plan = plan_dataset(site, asked.mountings, asked.scans, scenario.search.seed, as_recorded=as_recorded)
+    if joined and not asked.as_recorded:
+        plan = replace(plan, notes=(*plan.notes, "as with --as-recorded, so that the scans of all LiDARs go together"))
     identity = {
         **site.identity,
         "--mountings": len(plan.mounts),
         "--scans": len(plan),
-        "--as-recorded": asked.as_recorded,
+        "--as-recorded": as_recorded,
         "--layout": list(layouts),
     }
+    if joined:
+        identity["[[lidar]]"] = scenario.lidar_name
     with ExitStack() as stack:
 
         def progress(total: int, done: int):
-            return stack.enter_context(closing(Progress(total, "scans", done))).advance
+            return stack.enter_context(closing(Progress(total, f"scans {scenario.lidar_name}".rstrip(), done))).advance
 
         workers = workplace_of(scenario.model).processes
-        result = folder.write(plan, layouts, identity, _about(site, plan, layouts), workers, progress)
-    return say_result(args, _summary(result, folder.path), result)
+        return folder.write(plan, layouts, identity, _about(site, plan, layouts), workers, progress)
 
 
 def _layouts(asked: DatasetOptions) -> tuple[str, ...]:

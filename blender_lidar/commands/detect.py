@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -19,7 +20,7 @@ from ..detection.judge import (
     hung_off,
     is_ours,
     is_weights,
-    judge_detector,
+    judge_detectors,
     judged_from_file,
     judging_frames,
     weights_of,
@@ -42,21 +43,22 @@ from ..report.detection import detection_table, detection_text
 from ..report.summary import as_sentence, region_text, warnings_text
 from ..report.tables import table_text
 from ..run.folder import DETECTION
-from ..scene.mounting import Mounting
+from ..run.optimise import sensors_text
+from ..scene.mounting import Layout
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario, shipped_scenes
 from ..scene.settings import ModelSettings
 from ..scene.site import Site, prepare
-from ..scoring.evaluation import workplace_of
+from ..scoring.evaluation import Evaluator, workplace_of
 from ..toml_table import settings_of
 from ..traffic.boxes import DetectedBoxes
-from .options import default_folder, given_options, mounting_from, new_folder, scenario_from
+from .options import default_folder, given_options, layout_from, new_folder, scenario_from
 from .parsers import ScoreOptions
 from .progress import Progress
 from .report import note, say_result
 
 _PICTURE = "detections.png"
-_OURS = (DETECTION, _PICTURE, "detections.csv", "detections_baseline.csv", "label_2", "label_2_baseline")
+_OURS = re.compile(rf"{DETECTION}|{_PICTURE}|(detections|label_2)(_baseline|_early_fusion|_[\w-]+_alone)?(\.csv)?")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,9 +71,9 @@ def run(args: argparse.Namespace) -> int:
     check_detector(args.detector)
     scenario = scenario_from(args)
     check_fits_detectors(scenario)
-    mounting = mounting_from(args, scenario)
+    layout = layout_from(args, scenario)
     folder = _folder(args, lambda: default_folder(scenario, "detection"))
-    result = judge_at(prepare(scenario, [mounting]), mounting, args.detector, folder)
+    result = judge_at(prepare(scenario, layout), layout, args.detector, folder)
     frames = f"{result['frames']} {'held-out' if result['held_out'] else 'searched'} frames"
     return _print(args, folder, result, f"{frames}, vehicles {region_text(result['region'])}")
 
@@ -80,7 +82,7 @@ def _folder(args: argparse.Namespace, default: Callable[[], Path]) -> Path:
     """The folder that the results go to, not yet made; a place that cannot be used is refused."""
     folder = default() if args.out is None else Path(args.out)
     check_folder(folder, "--out")
-    check_unused(folder, "--out", "detect", lambda path: path.name in _OURS)
+    check_unused(folder, "--out", "detect", lambda path: _OURS.fullmatch(path.name))
     return folder
 
 
@@ -118,37 +120,50 @@ def detection_summary(result: Mapping) -> str:
     return f"{sentence}\n\n{table_text(detection_table(result))}"
 
 
-def judge_at(site: Site, mounting: Mounting, detector: str, folder: Path) -> dict:
-    """Judge a detector at a mounting and at the baseline, and write boxes, scores and a picture; returns the scores.
+def judge_at(site: Site, layout: Layout, detector: str, folder: Path) -> dict:
+    """Judge a detector at a layout and at the baseline, and write boxes, scores and a picture; returns the scores.
 
     Parameters
     ----------
     site : Site
-    mounting : Mounting
+    layout : Layout
     detector : str
-        Its name, or a file of detections at the mounting, which leaves the baseline out.
+        Its name, or a file of detections at the layout, which leaves the baseline out.
     folder : Path
         Where they go; the picture where matplotlib is installed.
     """
-    mounts = {"baseline": site.scenario.baseline, "given": mounting}
-    if mounts["baseline"] == mounting or not is_ours(detector):
+    mounts = {"baseline": site.scenario.baselines, "given": layout}
+    if mounts["baseline"] == layout or not is_ours(detector):
         del mounts["baseline"]
+    judged, several = {}, len(layout) > 1
     if is_ours(detector):
-        made = {name: detector_at(site, mount, detector) for name, mount in mounts.items()}
+        made = {
+            name: [detector_at(one, mount, detector) for one, mount in zip(site.each, mounts[name], strict=True)]
+            for name in mounts
+        }
         workers = workplace_of(site.scenario.model).processes
-        learnt = sum(len(site.search) for one in made.values() if one.learns)
+        learnt = sum(len(site.search) for detectors in made.values() for one in detectors if one.learns)
         with closing(Progress(learnt + len(made) * len(judging_frames(site)[0]), "clouds")) as progress:
-            advance = progress.advance
-            judged = {name: judge_detector(site, mounts[name], one, workers, advance) for name, one in made.items()}
+            for name, detectors in made.items():
+                of_all = judge_detectors(site, mounts[name], detectors, workers, progress.advance)
+                judged |= of_all if name == "given" else {name: of_all["given"]}
     else:
-        judged = {"given": judged_from_file(site, mounting, detector)}
+        judged["given"] = judged_from_file(site, layout, detector)
+    poses = {f"{lidar.name} alone": one.pose for lidar, one in zip(site.scenario.lidars, layout, strict=True)}
+    poses |= {name: mount[0].pose for name, mount in mounts.items()}
+    hung = tuple(map(hung_off, site.each, layout))
+    rows = [
+        {"name": one.lidar_name, "deployment": planned.as_table(), "hangs": hangs.as_table()}
+        for one, planned, hangs in zip(site.scenario.each, layout, hung, strict=True)
+    ]
+    ceiling = Evaluator(judging_frames(site)[0], site.observation, site.scoring).totals([hung]) if several else None
     result = {
         "scene": Path(site.scenario.source).name,
-        "sensor": site.model.name,
+        "sensor": sensors_text(site),
         "region": asdict(site.scenario.region),
         "caster": site.observation.caster,
-        "deployment": mounting.as_table(),
-        "hangs": hung_off(site, mounting).as_table(),
+        **({"lidars": rows} if several else {key: rows[0][key] for key in ("deployment", "hangs")}),
+        **({"detectable_share": float(ceiling.detectable_share()[0])} if several else {}),
         "criteria": [criterion.name for criterion in CRITERIA],
         **detection_result(site, detector, judged),
         "warnings": [*site.recording.report.warnings_as_dicts(), *judged["given"].warnings],
@@ -156,9 +171,9 @@ def judge_at(site: Site, mounting: Mounting, detector: str, folder: Path) -> dic
         "versions": versions(site.observation.caster),
     }
     found = {
-        "" if name == "given" else f"_{name}": (
+        "" if name == "given" else f"_{name.replace(' ', '_')}": (
             dict(zip(result["frame_ids"], one.boxes, strict=True)),
-            mounts[name].pose,
+            poses.get(name, layout[0].pose),
         )
         for name, one in judged.items()
     }
@@ -171,13 +186,14 @@ def judge_at(site: Site, mounting: Mounting, detector: str, folder: Path) -> dic
 
 
 def _write(folder: Path, found: Mapping[str, tuple[Mapping[int, DetectedBoxes], Poses]], result: dict) -> None:
-    """Detections as CSV and as KITTI's labels, by the ends of their names, and the scores, in place of earlier ones."""
+    """Detections as CSV and as KITTI's labels, by the ends of their names, and the scores, in place of earlier ones.
+
+    Labels of several LiDARs together are in the frame of the first.
+    """
     make_folder(folder, "--out")
-    for name in _OURS:
-        for path in (folder / name).glob("[0-9]*.txt"):
+    for found_before in filter(lambda path: _OURS.fullmatch(path.name), [*folder.iterdir()]):
+        for path in [found_before] if found_before.is_file() else found_before.glob("[0-9]*.txt"):
             path.unlink()
-        if (folder / name).is_file():
-            (folder / name).unlink()
     for ending, (of_frame, pose) in found.items():
         write_detected(folder / f"detections{ending}.csv", of_frame)
         write_kitti_labels(folder / f"label_2{ending}", of_frame, pose)

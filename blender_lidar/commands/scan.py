@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from contextlib import closing
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
 
-from ..clouds.files import SUSTECHPOINTS_PARTS, check_cloud_name, write_cloud, write_sustechpoints
-from ..clouds.snapshot import MountedSensor, mounted_sensor
+from ..clouds.files import (
+    SUSTECHPOINTS_PARTS,
+    TO_SITE,
+    check_cloud_name,
+    in_own_frame,
+    write_cloud,
+    write_sustechpoints,
+)
+from ..clouds.scan import PointCloud, joined_clouds
+from ..clouds.snapshot import MountedSensor, fused_header, fused_moment, mounted_sensors
 from ..detection.files import read_detected
 from ..errors import InputError
-from ..files import check_place, check_unused, make_folder
+from ..files import check_place, check_unused, make_folder, write_text
 from ..names import CLOUD_SUFFIXES
 from ..report.page import RENDER_VIEWS, render_file, write_report
 from ..report.summary import warnings_text
@@ -21,14 +30,14 @@ from ..run.folder import SCENE, RunFolder
 from ..scene.mount_checks import check_mount_is_clear
 from ..scene.mounting import Mounting
 from ..scene.provenance import check_same_inputs
-from ..scene.scenario import load_scenario
+from ..scene.scenario import Scenario, load_scenario
 from ..scene.site import frame_of, read_recording
 from ..toml_table import Setting, checked
 from ..traffic import Recording
 from ..traffic.boxes import DetectedBoxes
 from ..traffic.vehicles import Vehicles
 from ..world.needs_blender import blender_room
-from .options import mounting_from, parse_frames, scenario_from
+from .options import layout_from, parse_frames, scenario_from
 from .parsers import SUSTECHPOINTS
 from .progress import Progress
 
@@ -40,16 +49,17 @@ def _numbers(args: argparse.Namespace) -> list[int]:
     return [args.frame] if args.sequence is None else parse_frames(args.sequence, "--frame-ids")
 
 
-def _asked(args: argparse.Namespace, numbers: list[int]) -> tuple[MountedSensor, Recording, list[Vehicles]]:
-    """The sensor as it is asked to hang, the recording, and its frames, in none of which it stands in traffic."""
-    scenario = scenario_from(args)
-    mount = mounting_from(args, scenario)
-    sensor, recording = mounted_sensor(scenario, mount), read_recording(scenario)
+def _asked(
+    args: argparse.Namespace, scenario: Scenario, numbers: list[int]
+) -> tuple[tuple[MountedSensor, ...], Recording, list[Vehicles]]:
+    """The sensors as they are asked to hang, the recording, and its frames, in none of which one stands in traffic."""
+    sensors, recording = mounted_sensors(scenario, layout_from(args, scenario)), read_recording(scenario)
     option = "--frame" if args.sequence is None else "--frame-ids"
     _say_warnings(recording)
     frames = [frame_of(recording, number, option) for number in numbers]
-    check_mount_is_clear(scenario, frames, {"--x, --y": mount})
-    return sensor, recording, frames
+    for sensor in sensors:
+        check_mount_is_clear(sensor.scenario, frames, {"--x, --y": sensor.mounting})
+    return sensors, recording, frames
 
 
 def _say_warnings(recording: Recording) -> None:
@@ -62,43 +72,61 @@ def _say_warnings(recording: Recording) -> None:
 
 
 def run_scan(args: argparse.Namespace) -> int:
-    """Write clouds; returns the exit code."""
+    """Write clouds: of several LiDARs the fused one, and beside it each one's in its own frame; returns the code."""
     one, numbers = args.sequence is None, _numbers(args)
-    paths = _paths(args, numbers)
-    sensor, _, frames = _asked(args, numbers)
-    text = f"({sensor.lattice.model.name}, {sensor.caster})"
+    out = Path(args.out)
+    paths = [_paths(args, numbers, out)]
+    scenario = scenario_from(args)
+    named = [lidar.name for lidar in scenario.lidars] if scenario.further_lidars else []
+    beside = [out.with_name(f"{out.stem}_{name}{out.suffix}" if one else f"{out.name}_{name}") for name in named]
+    paths += [_paths(args, numbers, own) for own in beside]
+    sensors, _, frames = _asked(args, scenario, numbers)
+    of_each = [f"{sensor.scenario.lidar_name} {sensor.lattice.model.name}".lstrip() for sensor in sensors]
+    text = f"({', '.join([*of_each, sensors[0].caster])})"
+    text += f"; of each LiDAR in its own frame: {', '.join(map(str, beside))}" if named else ""
+    for folder in [] if one else [out, *beside]:
+        make_folder(folder, "--out")
+    points = 0
+    with ExitStack() as stack:
+        advance = (lambda done: None) if one else stack.enter_context(closing(Progress(len(frames), "scan"))).advance
+        for vehicles, places in zip(frames, zip(*paths, strict=True), strict=True):
+            clouds = [sensor.scan(vehicles) for sensor in sensors]
+            cloud, headers = joined_clouds(clouds), [sensor.cloud_header(vehicles) for sensor in sensors]
+            made = [(cloud, fused_header(sensors, vehicles)), *zip(clouds, headers, strict=True)]
+            for number, (place, part) in enumerate(zip(places, made, strict=False)):
+                level = args.format == SUSTECHPOINTS or place.suffix.lower() == ".bin"
+                part = in_own_frame(*part, level=level) if named and (level or number) else part
+                _write(place, *part, vehicles, args.format)
+            points += len(cloud)
+            advance(1)
     if one:
-        cloud = sensor.scan(frames[0])
-        write_cloud(paths[0], cloud, sensor.cloud_header(frames[0]))
         of_vehicle = cloud.vehicle_id[cloud.vehicle_id >= 0]
         print(
-            f"{paths[0]}: {len(cloud)} points, {len(of_vehicle)} of them on {len(np.unique(of_vehicle))} of "
+            f"{out}: {points} points, {len(of_vehicle)} of them on {len(np.unique(of_vehicle))} of "
             f"{len(frames[0])} vehicles {text}"
         )
         return 0
-    make_folder(Path(args.out), "--out")
-    points = 0
-    with closing(Progress(len(frames), "scan")) as progress:
-        for path, vehicles in zip(paths, frames, strict=True):
-            cloud, header = sensor.scan(vehicles), sensor.cloud_header(vehicles)
-            if args.format == SUSTECHPOINTS:
-                write_sustechpoints(path, cloud, vehicles, header)
-            else:
-                write_cloud(path, cloud, header)
-            points += len(cloud)
-            progress.advance(1)
     print(f"{args.out}: {len(frames)} clouds with {points} points {text}")
     return 0
 
 
-def _paths(args: argparse.Namespace, numbers: list[int]) -> list[Path]:
-    """Where the clouds go: one file, or one in the folder for each frame, or the folder where a format orders it."""
-    folder = Path(args.out)
+def _write(path: Path, cloud: PointCloud, header: dict, vehicles: Vehicles, form: str | None) -> None:
+    """One cloud; where its format has no room for a matrix of a frame, the header goes into a .json beside it."""
+    if form == SUSTECHPOINTS:
+        write_sustechpoints(path, cloud, vehicles, header)
+        return
+    write_cloud(path, cloud, header)
+    if TO_SITE in header and path.suffix.lower() == ".bin":
+        write_text(path.with_suffix(".json"), json.dumps(header) + "\n")
+
+
+def _paths(args: argparse.Namespace, numbers: list[int], folder: Path) -> list[Path]:
+    """Where clouds go: one file, or one in the folder for each frame, or the folder where a format orders it."""
     if args.sequence is None:
         if args.format is not None:
             raise InputError("--format: goes with --frame-ids; the suffix of --out says what one cloud is written as")
-        check_place(args.out, "--out")
-        return [check_cloud_name(args.out, "--out")]
+        check_place(folder, "--out")
+        return [check_cloud_name(folder, "--out")]
     if len(set(numbers)) < len(numbers):
         raise InputError("--frame-ids: names a frame twice")
     if folder.exists() and not folder.is_dir():
@@ -113,7 +141,7 @@ def _is_of_a_scan(path: Path) -> bool:
     """Whether an earlier scan of many frames may have written that; KITTI's own sweeps have no labels beside."""
     if path.suffix == ".bin" and not path.with_suffix(".label").exists():
         return False
-    suffixes = (*CLOUD_SUFFIXES, ".label")
+    suffixes = (*CLOUD_SUFFIXES, ".label", ".json")
     return path.name in SUSTECHPOINTS_PARTS or (path.stem.isdecimal() and path.suffix in suffixes)
 
 
@@ -127,22 +155,27 @@ def run_build(args: argparse.Namespace) -> int:
     check_place(args.out, "--out")
     animated, numbers = args.sequence is not None, _numbers(args)
     scene = blender_room("scene", "build")
-    sensor, recording, frames = _asked(args, sorted(set(numbers)))
-    detections = _detections(args.detections, sensor.mounting)
-    moment = sensor.moment(frames[0], with_cloud=not args.no_cloud, detections=detections)
+    scenario = scenario_from(args)
+    sensors, recording, frames = _asked(args, scenario, sorted(set(numbers)))
+    detections = _detections(args.detections, [sensor.mounting for sensor in sensors])
+    moment = fused_moment(scenario, sensors, frames[0], with_cloud=not args.no_cloud, detections=detections)
     scene.save_blend(args.out, moment, frames if animated else (), recording.time_step_s)
-    points = "no cloud" if moment.points is None else f"{len(moment.points['xyz'])} points"
+    clouds = [] if args.no_cloud else [len(one.points["xyz"]) for one in (moment, *moment.further)]
+    points = f"{sum(clouds)} points" if clouds else "no cloud"
     moving = f" driving through {len(frames)} frames" if animated else ""
     boxes = sum(len(detections.get(vehicles.frame, ())) for vehicles in frames)
     detected = "" if args.detections is None else f", {boxes} detections"
     text = f"{len(frames[0])} vehicles{moving}, {points}{detected}"
-    print(f"{args.out}: {text} ({sensor.lattice.model.name}, {sensor.caster})")
+    models = " and ".join(dict.fromkeys(sensor.lattice.model.name for sensor in sensors))
+    print(f"{args.out}: {text} ({models}, {sensors[0].caster})")
     return 0
 
 
-def _detections(path: str | Path | None, mounting: Mounting) -> dict[int, DetectedBoxes]:
-    """What a file says was found at a mounting, by frame; nothing without a file."""
-    return {} if path is None else read_detected(path, mounting.pose)
+def _detections(path: str | Path | None, layout: Sequence[Mounting]) -> dict[int, DetectedBoxes]:
+    """What a file says was found in a layout, by frame; nothing without a file."""
+    if len(layout) > 1 and path is not None and Path(path).is_dir():
+        raise InputError(f"--detections: {path}: KITTI's labels are of one LiDAR; allowed: CSV or nuScenes' JSON")
+    return {} if path is None else read_detected(path, layout[0].pose)
 
 
 # --- Pictures ---------------------------------------------------------------------------------------------
@@ -151,7 +184,9 @@ def _detections(path: str | Path | None, mounting: Mounting) -> dict[int, Detect
 def run_render(args: argparse.Namespace) -> int:
     """Render a run's mountings; returns the exit code."""
     run = RunFolder(args.folder)
-    deployments = {"baseline": run.result["baseline"]["deployment"], "optimised": run.result["deployment"]}
+    base, found = run.result["baseline"], [lidar["deployment"] for lidar in run.result["lidars"]]
+    base = list(base.get("deployments", {"": base.get("deployment")}).values())
+    deployments = {"baseline": base, "optimised": found}
     blender = blender_room("scene", "render")
     asked = blender.SAMPLES if args.samples is None else args.samples
     samples = checked(asked, Setting(kind=int, low=1, high=_MOST_SAMPLES), "--samples")
@@ -159,15 +194,15 @@ def run_render(args: argparse.Namespace) -> int:
     check_same_inputs(scenario, run.result["identity"])
     recording = read_recording(scenario)
     _say_warnings(recording)
-    mounts = {name: scenario.mounting(table) for name, table in deployments.items()}
-    detections = {name: _detections(path, mounts[name]) for name, path in _detected_files(args.detections).items()}
+    layouts = {name: list(map(Scenario.mounting, scenario.each, tables)) for name, tables in deployments.items()}
+    detections = {name: _detections(path, layouts[name]) for name, path in _detected_files(args.detections).items()}
     number = _fullest_frame(run, args.detections, detections["optimised"]) if args.frame is None else args.frame
     vehicles = frame_of(recording, number, "--frame")
     written = []
-    with run.locked(), closing(Progress(len(mounts) * len(RENDER_VIEWS), "render")) as progress:
-        for name, mount in mounts.items():
-            scene = blender.empty_scene()
-            moment = mounted_sensor(scenario, mount).moment(vehicles, detections=detections[name])
+    with run.locked(), closing(Progress(len(layouts) * len(RENDER_VIEWS), "render")) as progress:
+        for name, layout in layouts.items():
+            scene, sensors = blender.empty_scene(), mounted_sensors(scenario, layout)
+            moment = fused_moment(scenario, sensors, vehicles, detections=detections[name])
             blender.build_scene(scene, moment)
             for view in RENDER_VIEWS:
                 written.append(run.file(render_file(name, view)))

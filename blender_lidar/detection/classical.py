@@ -15,7 +15,7 @@ from ..errors import MissingExtraError
 from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
 from ..traffic.boxes import KINDS, DetectedBoxes, boxes_of_rows, no_boxes, suppressed
-from .ground import fit_ground
+from .ground import Ground, fit_ground
 
 _CAR, _LARGE, _SMALL = (KINDS.index(name) for name in ("car", "truck or bus", "motorcycle"))
 _USUAL_M = {_CAR: (4.5, 1.8, 1.5), _LARGE: (9.0, 2.5, 3.2), _SMALL: (2.1, 0.8, 1.4)}
@@ -75,8 +75,8 @@ class ClassicalDetector:
     def __init__(
         self, lattice: BeamLattice, lidar_xy: tuple[float, float], imperfections: Imperfections = PERFECT
     ) -> None:
-        self._lattice, self._lidar = lattice, np.array(lidar_xy)
-        self._cluster = dbscan_class()(eps=_APART_M, min_samples=_LEAST_POINTS)
+        self._lattice, self.lidar_xy = lattice, np.array(lidar_xy)
+        self.cluster = dbscan_class()(eps=_APART_M, min_samples=_LEAST_POINTS)
         self._background = np.full(lattice.rings * lattice.columns, np.inf)
         self._nearer_m = _NEARER_M + _NEARER_DEVIATIONS * imperfections.range_noise_m
         self._dropout = imperfections.dropout
@@ -112,24 +112,20 @@ class ClassicalDetector:
 
     def detect(self, cloud: PointCloud) -> tuple[DetectedBoxes, None]:
         """The vehicles of one frame, and nothing for `notes`."""
+        return early_fusion([self], [self.foreground(cloud)]), None
+
+    def foreground(self, cloud: PointCloud) -> tuple[np.ndarray, Ground]:
+        """The points before the background, (n, 3) with heights from the ground [m], and the ground."""
         nearer = cloud.range_m < self._background[self.beam(cloud)] - self._nearer_m
-        from_lidar = cloud.xyz - [*self._lidar, 0.0]
+        from_lidar = cloud.xyz - [*self.lidar_xy, 0.0]
         ground = fit_ground(from_lidar)
-        points = np.column_stack([cloud.xyz[nearer, :2], ground.above(from_lidar[nearer])])
-        if not len(points):
-            return no_boxes(), None
-        label = self._cluster.fit_predict(points[:, :2])
-        order = np.argsort(label, kind="stable")
-        ends = np.flatnonzero(np.diff(label[order], append=label.max() + 1)) + 1
-        clusters = [rows for rows in np.split(order, ends[:-1]) if label[rows[0]] >= 0]  # -1: DBSCAN's noise
-        boxes = suppressed(boxes_of_rows([self._box(points[rows]) for rows in clusters]), _MOST_IOU)
-        boxes.centre_m[:, 2] += ground.height(boxes.centre_m[:, :2] - self._lidar)
-        return boxes, None
+        return np.column_stack([cloud.xyz[nearer, :2], ground.above(from_lidar[nearer])]), ground
 
-    def _box(self, points: np.ndarray) -> tuple[float, ...]:
-        """The box of one cluster (n, 3) [m], a row of `boxes_of_rows`: as large as a vehicle, away from the LiDAR.
+    @staticmethod
+    def box(points: np.ndarray, lidars: np.ndarray) -> tuple[float, ...]:
+        """The box of one cluster (n, 3) [m], a row of `boxes_of_rows`: as large as a vehicle, away from the LiDARs.
 
-        Heights are counted from the ground.
+        Heights are counted from the ground; `lidars` (m, 2) are those that see it.
         """
         heading = 0.0 if len(points) < _TURNED_POINTS else l_shape_heading(points[:, :2])
         turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
@@ -143,13 +139,35 @@ class ClassicalDetector:
             kind = _SMALL
         length, width, height = _USUAL_M[kind]
         size = np.maximum(seen, (length, width))
-        lidar = self._lidar @ turn
-        # The sides that face the LiDAR are seen; what is missing lies beyond the others.
+        above, below = ((lidars @ turn > high).any(axis=0), (lidars @ turn < low).any(axis=0))
+        # The sides that face a LiDAR are seen; what is missing lies beyond the others.
         middle = 0.5 * (low + high)
-        centre = np.where(lidar > high, high - 0.5 * size, np.where(lidar < low, low + 0.5 * size, middle))
+        centre = np.where(above > below, high - 0.5 * size, np.where(below > above, low + 0.5 * size, middle))
         height = max(top, height)
         confidence = len(points) / (len(points) + _SURE_POINTS)
         return (*(turn @ centre).tolist(), 0.5 * height, *size.tolist(), height, heading, kind, confidence)
+
+
+def early_fusion(
+    detectors: Sequence[ClassicalDetector], foregrounds: Sequence[tuple[np.ndarray, Ground]]
+) -> DetectedBoxes:
+    """The vehicles of one frame in the clouds of several LiDARs together: each one's `foreground`, clustered as one."""
+    parts, grounds = zip(*foregrounds, strict=True)
+    points, owner = np.concatenate(parts), np.repeat(np.arange(len(parts)), list(map(len, parts)))
+    lidars = np.array([one.lidar_xy for one in detectors])
+    if not len(points):
+        return no_boxes()
+    label = detectors[0].cluster.fit_predict(points[:, :2])
+    order = np.argsort(label, kind="stable")
+    ends = np.flatnonzero(np.diff(label[order], append=label.max() + 1)) + 1
+    clusters = [rows for rows in np.split(order, ends[:-1]) if label[rows[0]] >= 0]  # -1: DBSCAN's noise
+    rows = [ClassicalDetector.box(points[rows], lidars[np.unique(owner[rows])]) for rows in clusters]
+    boxes = suppressed(boxes_of_rows(rows), _MOST_IOU)
+    away = boxes.centre_m[None, :, :2] - lidars[:, None]
+    heights = np.array([ground.height(off) for ground, off in zip(grounds, away, strict=True)])
+    nearest = np.hypot(away[..., 0], away[..., 1]).argmin(axis=0)
+    boxes.centre_m[:, 2] += heights[nearest, np.arange(len(boxes))]
+    return boxes
 
 
 def l_shape_heading(xy: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -16,16 +17,16 @@ from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
 from ..run.tolerance import errors_from, installed
-from ..scene.mounting import Mounting
+from ..scene.mounting import Layout, Mounting
 from ..scene.observation import WAY_COLUMNS, CountedFrame
 from ..scene.region import Region
 from ..scene.scenario import Scenario
 from ..scene.site import Site
 from ..scoring.workers import Workers
 from ..sensors.pose import Pose
-from ..traffic.boxes import KINDS, DetectedBoxes, no_boxes
+from ..traffic.boxes import KINDS, DetectedBoxes, late_fusion, no_boxes
 from ..traffic.vehicles import Vehicles
-from .classical import ClassicalDetector
+from .classical import ClassicalDetector, early_fusion
 from .files import Poses, read_detected
 from .pillars import SHIPPED, PillarsDetector
 from .scores import CRITERIA, Matches, by_approach, by_distance, match, measured, paired_intervals
@@ -44,6 +45,7 @@ class Detector(Protocol):
         """What was unlike what it is made for in the frames that were `seen`, as sentences."""
 
 
+EARLY = "early fusion"
 DETECTORS = (PillarsDetector.name, ClassicalDetector.name)
 _ASIDE_M = 8.0
 CLOUDS_A_PROCESS = 12  # fewer are done before another process has started
@@ -147,8 +149,9 @@ def judging_frames(site: Site) -> tuple[Sequence[CountedFrame], np.ndarray, np.n
 
 
 def hung_off(site: Site, mounting: Mounting) -> Mounting:
-    """Where a LiDAR hangs by one draw within the scene's tolerance, by its seed."""
-    return hung_off_by(site.scenario, mounting, np.random.default_rng(site.scenario.search.seed))
+    """Where a LiDAR hangs by one draw within the scene's tolerance, by its seed and the LiDAR's name."""
+    seed, name = site.scenario.search.seed, site.scenario.lidar_name.encode()
+    return hung_off_by(site.scenario, mounting, np.random.default_rng([seed, zlib.crc32(name)] if name else seed))
 
 
 def hung_off_by(scenario: Scenario, mounting: Mounting, rng: np.random.Generator) -> Mounting:
@@ -201,41 +204,63 @@ def range_image(detector: ClassicalDetector, clouds: Callable[[Any], PointCloud]
     return detector.range_image(clouds(item))
 
 
-def _look(
-    detector: Detector, clouds: Callable[[Vehicles], PointCloud], frame: CountedFrame
-) -> tuple[DetectedBoxes, Any, int]:
-    """A frame's detections, what the notes need, and how many counted vehicles have a return."""
-    cloud = clouds(frame.vehicles)
-    returned = np.isin(frame.vehicles.vehicle_id[frame.counted], cloud.vehicle_id)
-    return *detector.detect(cloud), int(returned.sum())
+def _look(detectors: Sequence[Detector], clouds: Sequence[Clouds], frame: CountedFrame):
+    """A frame's detections by each LiDAR's detector, with what the notes need; those of the fused cloud, where the
+    detectors can; and which of the n counted vehicles have a return of each of l LiDARs, (l, n).
+    """
+    seen, ids = [of(frame.vehicles) for of in clouds], frame.vehicles.vehicle_id[frame.counted]
+    returned = np.array([np.isin(ids, cloud.vehicle_id) for cloud in seen])
+    each = list(zip(detectors, seen, strict=True))
+    if len(clouds) == 1 or not all(isinstance(detector, ClassicalDetector) for detector in detectors):
+        return [detector.detect(cloud) for detector, cloud in each], None, returned
+    parts = [detector.foreground(cloud) for detector, cloud in each]
+    found = [(early_fusion([detector], [part]), None) for detector, part in zip(detectors, parts, strict=True)]
+    return found, early_fusion(detectors, parts), returned
 
 
 _NO_GROUND = "the scene has no ground, which detectors need to level each cloud: they find fewer vehicles, less exactly"
 
 
-def judge_detector(
+def judge_detectors(
     site: Site,
-    mounting: Mounting,
-    detector: Detector,
+    layout: Layout,
+    detectors: Sequence[Detector],
     workers: int = 1,
     advance: Callable[[int], object] = lambda done: None,
-) -> JudgedDetector:
-    """Let a detector find the vehicles of the judging frames within `watched`; one that learns sees the searched first.
+) -> dict[str, JudgedDetector]:
+    """Let each LiDAR's detector find the vehicles of the judging frames within `watched`, and merge their boxes.
 
-    Where the scene has a tolerance, the LiDAR hangs off its plan, which the detector believes in. Clouds are cast by so
-    many processes; `advance` is given 1 for each.
+    Those that learn see the searched frames first. Where the scene has a tolerance, a LiDAR hangs off its plan, which
+    its detector believes in. Clouds are cast by so many processes; `advance` is given 1 for each frame.
+
+    Returns
+    -------
+    dict
+        "given", by `late_fusion`; before it, of several LiDARs, each one alone, "NAME alone", and the `early_fusion` of
+        classical detectors. Distances are from the nearest LiDAR of the layout in all, so that bands hold the same.
     """
-    clouds, (frames, _, _) = clouds_at(site, mounting), judging_frames(site)
-    if detector.learns:
-        vehicles = [frame.vehicles for frame in site.search]
-        detector.learn(of_each(partial(range_image, detector, clouds), vehicles, workers, advance))
-    found, seen, returned = zip(*of_each(partial(_look, detector, clouds), frames, workers, advance), strict=True)
-    low, high = watched(site)
-    boxes = [within(one, low, high) for one in found]
-    vehicles = sum(int(frame.counted.sum()) for frame in frames)
-    with_return = sum(returned) / vehicles if vehicles else None
-    notes = [*detector.notes(seen), *([] if site.scenario.world.ground else [_NO_GROUND])]
-    return judged_boxes(boxes, frames, region_of_alarms(site.region), mounting.xy, with_return, notes)
+    frames, searched = judging_frames(site)[0], [frame.vehicles for frame in site.search]
+    clouds = [clouds_at(one, mounting) for one, mounting in zip(site.each, layout, strict=True)]
+    for detector, of in zip(detectors, clouds, strict=True):
+        if detector.learns:
+            detector.learn(of_each(partial(range_image, detector, of), searched, workers, advance))
+    alone, early, returned = zip(*of_each(partial(_look, detectors, clouds), frames, workers, advance), strict=True)
+    returned, several, found, notes = np.concatenate(returned, axis=1), len(layout) > 1, {}, []
+    lidars = zip(site.scenario.lidars, detectors, zip(*alone, strict=True), returned, strict=True)
+    for lidar, detector, of, by in lidars:
+        boxes, seen = zip(*of, strict=True)
+        notes += [f"{lidar.name}: {note}" if several else note for note in detector.notes(seen)]
+        found |= {f"{lidar.name} alone": (boxes, by)} if several else {}
+    if early[0] is not None:
+        found[EARLY] = early, returned.any(axis=0)
+    found["given"] = [late_fusion([boxes for boxes, _ in of]) for of in alone], returned.any(axis=0)
+    notes += [] if site.scenario.world.ground else [_NO_GROUND]
+    region, (low, high), xy = region_of_alarms(site.region), watched(site), np.array([[one.xy for one in layout]])
+    judged = {}
+    for name, (boxes, by) in found.items():
+        with_return = float(by.mean()) if len(by) else None
+        judged[name] = judged_boxes([within(one, low, high) for one in boxes], frames, region, xy, with_return, notes)
+    return judged
 
 
 def judged_boxes(
@@ -260,8 +285,8 @@ def region_of_alarms(region: Region) -> Region:
     return replace(region, stretches=[(s, None) for s, _ in region.stretches])
 
 
-def judged_from_file(site: Site, mounting: Mounting, path: str) -> JudgedDetector:
-    """The detections of one's own detector, from a file that `files.read_detected` reads.
+def judged_from_file(site: Site, layout: Layout, path: str) -> JudgedDetector:
+    """The detections of one's own detector, from a file that `files.read_detected` reads; KITTI's of the first LiDAR.
 
     Raises
     ------
@@ -270,10 +295,11 @@ def judged_from_file(site: Site, mounting: Mounting, path: str) -> JudgedDetecto
         some. If they do not fit the traffic, unless that is accepted.
     """
     frames = judging_frames(site)[0]
-    boxes = boxes_from_file(path, mounting.pose, [frame.vehicles.frame for frame in frames], "judging frames")
+    boxes = boxes_from_file(path, layout[0].pose, [frame.vehicles.frame for frame in frames], "judging frames")
     misfit = detections_misfit(boxes, [frame.vehicles for frame in frames])
     warnings = accepted(misfit, path, site.scenario.traffic.accept)
-    return judged_boxes(boxes, frames, region_of_alarms(site.region), mounting.xy, None, warnings=warnings)
+    xy = np.array([[one.xy for one in layout]])
+    return judged_boxes(boxes, frames, region_of_alarms(site.region), xy, None, warnings=warnings)
 
 
 def boxes_from_file(path: str | Path, poses: Poses, numbers: Sequence[int], what: str) -> list[DetectedBoxes]:
@@ -290,10 +316,11 @@ def boxes_from_file(path: str | Path, poses: Poses, numbers: Sequence[int], what
 def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]) -> dict[str, object]:
     """What was found at each of some mountings, for a result file; the first is the baseline of the others.
 
-    `name` is the detector's.
+    `name` is the detector's. Of several LiDARs the last, which fuses, is set `over` each alone and the fused cloud.
     """
     frames, block, recording = judging_frames(site)
-    mountings, baseline = {}, next(iter(judged.values()))
+    mountings, (first, baseline) = {}, next(iter(judged.items()))
+    several = site.scenario.further_lidars
     farthest = max(map(farthest_m, judged.values()), default=0.0)
     for mounting, one in judged.items():
         mountings[mounting] = measured_groups(one, farthest)
@@ -301,9 +328,12 @@ def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]
             approach = np.concatenate([frame.ways[WAY_COLUMNS[0]][frame.counted] for frame in frames])
             found = by_approach(one.matches[0], approach, block, site.scenario.search.seed, recording)
             mountings[mounting]["by_approach"] = found
-        if one is not baseline:
-            gain = paired_intervals(one.matches, baseline.matches, block, site.scenario.search.seed, recording)
-            mountings[mounting]["over_baseline"] = gain
+        over = partial(paired_intervals, one.matches, block=block, seed=site.scenario.search.seed, recording=recording)
+        if one is not baseline and (first == "baseline" or not several):
+            mountings[mounting]["over_baseline"] = over(baseline.matches)
+        if several and mounting == "given":
+            others = {key: other for key, other in judged.items() if key not in ("baseline", "given")}
+            mountings[mounting]["over"] = {key: over(other.matches) for key, other in others.items()}
     return {
         "detector": name,
         "frames": len(frames),

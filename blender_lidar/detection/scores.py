@@ -15,7 +15,7 @@ import numpy as np
 from ..scene.observation import CountedFrame
 from ..scene.region import Region
 from ..statistics import of_blocks, statistic_interval_90
-from ..traffic.boxes import DetectedBoxes, bev_iou, kind_of
+from ..traffic.boxes import HIT_M, DetectedBoxes, bev_iou, kind_of
 from ..traffic.vehicles import Vehicles
 
 CONFIDENCES = (0.1, 0.3)  # at which recall and precision are given, as the paper's Table III has them
@@ -39,7 +39,7 @@ class Criterion(NamedTuple):
 
 
 CRITERIA = (
-    Criterion("centre_2m", most_m=2.0),  # the third of nuScenes' thresholds
+    Criterion("centre_2m", most_m=HIT_M),
     Criterion("iou_0.5", least_iou=0.5),
     Criterion("iou_0.7", least_iou=0.7),  # KITTI's for cars
 )
@@ -101,14 +101,15 @@ def match(
     frames : sequence of CountedFrame, f
     region : Region
         Where a detection that meets nothing is a false alarm.
-    lidar_xy : (float, float), or ndarray, (f, 2)
-        What distances are counted from [m], of each frame where they differ.
+    lidar_xy : (float, float), or ndarray, (f, 2) or (1, l, 2)
+        What distances are counted from [m], of each frame where they differ; of l LiDARs the nearest.
     criterion : Criterion
     kind : int, optional
         Only boxes and vehicles of this kind, as if there were no others: a box on another kind is a false alarm.
     """
-    parts = []
-    for boxes, frame, lidar in zip(detected, frames, np.broadcast_to(lidar_xy, (len(frames), 2)), strict=True):
+    parts, xy = [], np.asarray(lidar_xy, dtype=float)
+    lidars = np.repeat(xy, len(frames), axis=0) if xy.ndim == 3 else np.broadcast_to(xy, (len(frames), 2))[:, None]
+    for boxes, frame, lidar in zip(detected, frames, lidars, strict=True):
         vehicles, counted = frame.vehicles, frame.counted
         if kind is not None:
             boxes = boxes.select(boxes.kind == kind)
@@ -133,7 +134,9 @@ def match(
 
 def _matched(boxes: DetectedBoxes, vehicles: Vehicles, counted: np.ndarray, region: Region, lidar_xy, criterion):
     """Of one frame: columns of `Matches` of its detections that count, (d, 3), and of its vehicles that do, (v, 2)."""
-    away, distance = (np.hypot(*(one.centre_m[:, :2] - lidar_xy).T) for one in (boxes, vehicles))
+    away, distance = (
+        np.hypot(*(one.centre_m[:, :2] - lidar_xy[:, None]).transpose(2, 0, 1)).min(axis=0) for one in (boxes, vehicles)
+    )
     met, ignored = meetings(boxes, vehicles, counted, region, criterion)
     hit, found = met >= 0, np.full(len(vehicles), MISSED)
     found[met[hit]], away[hit] = boxes.confidence[hit], distance[met[hit]]

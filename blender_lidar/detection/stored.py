@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..clouds.files import READERS, read_cloud, read_points
+from ..clouds.files import LIDARS, READERS, read_cloud, read_points
 from ..clouds.fit import accepted, detections_misfit, in_frame
 from ..clouds.scan import PointCloud
 from ..errors import InputError
@@ -99,6 +99,10 @@ class StoredClouds:
     @classmethod
     def of(cls, path: Path) -> StoredClouds:
         header = read_cloud(path)[1]
+        if LIDARS in header:
+            raise InputError(
+                f"{path}: is of several LiDARs; allowed: the folder of one that scan wrote beside, or detect SCENE"
+            )
         where = f"{path}: its header"
         found = _declared(header, _OF_HEADERS, where)
         name, rate = found["sensor"], found["rotation_hz"]
@@ -147,7 +151,7 @@ class RecordedClouds(NamedTuple):
         if frame is None:
             raise InputError(f"{path}: its name does not end with the number of a frame, as in sweep_000100.pcd")
         xyz = in_frame(read_points(path)[0], self.axes, self.at)
-        return PointCloud(xyz, *np.zeros((8, len(xyz)))), int(frame[0])
+        return PointCloud(xyz, *np.zeros((9, len(xyz)))), int(frame[0])
 
 
 def _look(detector: Detector, clouds: StoredClouds | RecordedClouds, path: Path) -> tuple[int, DetectedBoxes, Any]:
