@@ -13,6 +13,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..clouds.live import LiveFrame, Look
+from ..clouds.scan import joined_clouds
 from ..clouds.snapshot import entropy_of_vehicles, vertices_of
 from ..errors import BlenderLidarError
 from ..scene.scenario import Scenario
@@ -40,6 +41,7 @@ class _Shown:
     scenario: Scenario | None = None
     baseline: Look | None = None
     look: Look | None = None
+    problem: str = ""
     bits: np.ndarray | None = None  # of every vehicle
     colours: np.ndarray | None = None
     batch: object = None
@@ -64,7 +66,9 @@ def update() -> None:
     """Look again from every live LiDAR of the scenes that are open in windows, where anything has changed."""
     live = set()
     for scene, layer in _open_scenes():
-        mine = [lidar for lidar in lidars(scene) if lidar.lidar.live and scene.blender_lidar.loaded]
+        found = lidars(scene) if scene.blender_lidar.loaded else []
+        together = any(lidar.lidar.live and lidar.lidar.in_layout for lidar in found)
+        mine = [one for one in found if one.lidar.live or (together and one.lidar.in_layout)]
         live |= {session.uid_of(lidar) for lidar in mine}
         if not mine:
             continue
@@ -77,15 +81,23 @@ def update() -> None:
             objects.forget()  # so that all is looked at again
             _tell(scene, str(error))
             continue
+        problems, moved = [], False
         for lidar in mine:
             shown = _state.shown.get(session.uid_of(lidar))
             if shown is None:
                 shown = _state.shown[session.uid_of(lidar)] = _begin(scene, layer, lidar)
             try:
-                problem = "" if _update_one(scene, lidar, shown, objects) else scene.blender_lidar.problem
+                if _update_one(scene, lidar, shown, objects):
+                    shown.problem, moved = "", True
             except BlenderLidarError as error:
-                problem = " ".join(str(error).split())
-            _tell(scene, problem)
+                shown.problem, moved = " ".join(str(error).split()), True
+            problems += [shown.problem] if shown.problem else []
+        if moved:
+            try:
+                _update_layout(scene, next((session.layout_of(scene, one) for one in mine if one.lidar.in_layout), []))
+            except BlenderLidarError as error:
+                problems.append(" ".join(str(error).split()))
+            _tell(scene, problems[0] if problems else "")
     for key in set(_state.shown) - live:
         _end(key, _state.shown.pop(key))
     _draw_if(bool(_state.shown))
@@ -128,6 +140,20 @@ def _update_one(scene, lidar, shown, objects) -> bool:
         colour_vehicles(*_coloured(scene, vehicles, shown.bits))
     redraw()
     return True
+
+
+def _update_layout(scene, hung) -> None:
+    """Fuse what the LiDARs of a layout have looked at last; nothing is said of it while one of them cannot look."""
+    shown = [_state.shown[session.uid_of(one)] for one in hung]
+    scene.blender_lidar.fused = ""
+    if len(shown) < 2 or any(one.problem for one in shown):
+        return
+    looks, cloud = [(one.look, one.baseline) for one in shown], joined_clouds([one.look.cloud for one in shown])
+    session.store_layout(scene, hung, [one.frame for one in shown], looks)
+    if session.active_lidar(scene) in hung:
+        vehicles = shown[0].frame.frame.vehicles
+        bits = entropy_of_vehicles(cloud, vehicles, shown[0].scenario.objective)
+        colour_vehicles(*_coloured(scene, vehicles, bits))
 
 
 def _coloured(scene: bpy.types.Scene, vehicles: Vehicles, bits: np.ndarray):

@@ -11,7 +11,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ..casting import resolve
 from ..clouds.files import SUSTECHPOINTS_PARTS, write_cloud, write_sustechpoints
-from ..clouds.snapshot import MountedSensor, entropy_of_vehicles, mounted_sensor, vertices_of
+from ..clouds.snapshot import MountedSensor, entropy_of_vehicles, mounted_sensors, vertices_of
 from ..errors import BlenderLidarError, InputError
 from ..files import check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
@@ -138,7 +138,7 @@ class LIDAR_OT_load_example(bpy.types.Operator):
 
 
 def _take_over(operator, context, path):
-    """Fill the panel with a scene file's settings, show its traffic, and let a LiDAR hang there if there is none."""
+    """Fill the panel with a scene file's settings, show its traffic, and let LiDARs hang there that are not there."""
     scene = context.scene
     session.check_unit(scene)
     scenario = load_scenario(path)
@@ -146,13 +146,20 @@ def _take_over(operator, context, path):
     recordings, scenery = read_recordings(scenario), _standing(scenario)
     session.fill_scene(scene, tables, folder, scenario)
     properties.hang_again(scene)
-    found = session.active_lidar(scene)
-    if found is None:  # where what is not searched is as the file says
-        fixed = scenario.deployment.places[0].fixed
-        found = add_lidar(scene, changed_mounting(scenario.baseline, scenario.road_map, **fixed).pose)
-    session.fill_lidar(found, tables, folder, scenario)
-    dress(found, lattice_of(scenario.sensor))
-    select(context, found)
+    there, taken = {one.name: one for one in lidars(scene)}, set()
+    for one in there.values() if scenario.lidar_name else ():
+        one.lidar.in_layout = False
+    for number, one in enumerate(scenario.each):
+        found = there.get(one.lidar_name) if one.lidar_name else session.active_lidar(scene)
+        if found is None:  # where what is not searched is as the file says, each on a pole of its own
+            places = [place.fixed for place in one.deployment.places]
+            fixed = next((of for of in places if (of.get("x_m"), of.get("y_m")) not in taken), places[0])
+            taken.add((fixed.get("x_m"), fixed.get("y_m")))
+            pose = changed_mounting(one.baseline, one.road_map, **fixed).pose
+            found = add_lidar(scene, pose, one.lidar_name or "LiDAR")
+        session.fill_lidar(found, tables, folder, scenario, number)
+        dress(found, lattice_of(one.sensor))
+    select(context, session.layout_of(scene, found)[0])
     recording = session.keep(scene, session.scenario_from(scene), recordings)
     ids = scenario.traffic.frame_ids
     show_traffic(scene, recording, ids[0] if ids else int(recording.frames[len(recording.frames) // 2]), scenery)
@@ -190,9 +197,9 @@ class LIDAR_OT_step_frame(NeedsTraffic, bpy.types.Operator):
 # --- LiDARs -----------------------------------------------------------------------------------------------------------
 
 
-def add_lidar(scene: bpy.types.Scene, pose: Pose) -> bpy.types.Object:
+def add_lidar(scene: bpy.types.Scene, pose: Pose, name: str = "LiDAR") -> bpy.types.Object:
     """A new LiDAR at a mounting, dressed, with the usual sensor."""
-    lidar = new_lidar(scene, pose)
+    lidar = new_lidar(scene, pose, name)
     lidar.lidar.schema = properties.SCHEMA
     dress(lidar, lattice_of(session.sensor_of(lidar)))
     scene.blender_lidar.active = lidar.name
@@ -263,7 +270,7 @@ def adopt(scene: bpy.types.Scene) -> None:
     for lidar in found:
         if lidar.lidar.schema == 0:
             if SETTINGS in lidar:
-                session.fill_lidar(lidar, *_stored(lidar))
+                session.fill_lidar(lidar, *_stored(lidar), json.loads(lidar[SETTINGS]).get("number", 0))
             lidar.lidar.schema = properties.SCHEMA
         if not carried or not any(role(child) == PART for child in lidar.children):
             dress(lidar, lattice_of(session.sensor_of(lidar)))
@@ -309,17 +316,21 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
     def execute(self, context):
         """Scan exactly, check the place, and show the cloud."""
         scene = context.scene
-        lidar = session.active_lidar(scene)
-        scenario, mounting, vehicles = _checked(scene, lidar)
-        ready = session.live_frame(scene, lidar, exact=True)
-        objects = session.exact_objects(scene, context.view_layer, scenario)
-        look = ready.look(mounting.pose, objects)
-        bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
-        show_cloud(lidar, vertices_of(look.cloud, vehicles, bits), lidar.lidar.colour_by)
-        session.store(lidar, vehicles, look, ready.look(scenario.baseline.pose, objects))
-        group = lidar.lidar
-        scored = "" if look.scored is None else f", objective {group.objective:.2f}"
-        self.report({"INFO"}, f"{lidar.name}: {group.points:,} points on frame {vehicles.frame}{scored}")
+        hung, frames, looks, told = session.layout_of(scene, session.active_lidar(scene)), [], [], []
+        checked = [_checked(scene, one) for one in hung]
+        for lidar, (scenario, mounting, _) in zip(hung, checked, strict=True):
+            frames.append(session.live_frame(scene, lidar, exact=True))
+            objects = session.exact_objects(scene, context.view_layer, scenario)
+            looks.append([frames[-1].look(of.pose, objects) for of in (mounting, scenario.baseline)])
+        if len(hung) > 1:
+            session.store_layout(scene, hung, frames, looks)
+        for lidar, (look, base), (scenario, _, vehicles) in zip(hung, looks, checked, strict=True):
+            bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
+            show_cloud(lidar, vertices_of(look.cloud, vehicles, bits), lidar.lidar.colour_by)
+            session.store(lidar, vehicles, look, base)
+            scored = "" if look.scored is None else f", objective {lidar.lidar.objective:.2f}"
+            told.append(f"{lidar.name}: {lidar.lidar.points:,} points on frame {vehicles.frame}{scored}")
+        self.report({"INFO"}, "; ".join(told))
         return {"FINISHED"}
 
 
@@ -331,8 +342,12 @@ class LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
     @one_line_errors
     def execute(self, context):
         """Take the pose over."""
-        mounting = properties.mounting_of(session.active_lidar(context.scene))
-        properties.fill(context.scene.blender_lidar.baseline, properties.SIX, mounting.as_table())
+        lidar = session.active_lidar(context.scene)
+        mounting = properties.mounting_of(lidar)
+        if lidar.lidar.in_layout or lidar.lidar.baseline:
+            lidar.lidar.baseline = json.dumps(mounting.as_table())
+        else:
+            properties.fill(context.scene.blender_lidar.baseline, properties.SIX, mounting.as_table())
         return {"FINISHED"}
 
 
@@ -341,8 +356,11 @@ class LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
 
 def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Vehicles]:
     """The active LiDAR as the command line's `scan` has it, and the frame that is shown."""
-    scenario, mounting, vehicles = _checked(scene, session.active_lidar(scene))
-    return mounted_sensor(scenario, mounting, open_scenery(scene, bpy.context.view_layer)), vehicles
+    lidar = session.active_lidar(scene)
+    vehicles, hung = _checked(scene, lidar)[-1], session.layout_of(scene, lidar)
+    whole, layout = session.layout_scenario(scene, hung), tuple(map(properties.mounting_of, hung))
+    sensors = mounted_sensors(whole, layout, open_scenery(scene, bpy.context.view_layer))
+    return sensors[hung.index(lidar)], vehicles
 
 
 class LIDAR_OT_export_cloud(NeedsTraffic, bpy.types.Operator, ExportHelper):
@@ -399,14 +417,14 @@ class LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
     def execute(self, context):
         """Evaluate the mounting."""
         scene = context.scene
-        lidar = session.active_lidar(scene)
-        mounting = properties.mounting_of(lidar)
+        hung = session.layout_of(scene, session.active_lidar(scene))
+        layout = tuple(map(properties.mounting_of, hung))
         check_unused(Path(self.directory), "folder", "run")
         objects = open_scenery(scene, context.view_layer)
-        scenario, recordings = session.scenario_from(scene, lidar), session.recordings_of(scene)
-        site = prepare(scenario, [mounting], scenery=objects, recordings=recordings)
+        scenario, recordings = session.layout_scenario(scene, hung), session.recordings_of(scene)
+        site = prepare(scenario, layout, scenery=objects, recordings=recordings)
         with RunFolder(self.directory).locked() as folder:
-            result = evaluate_site(site, folder, mounting)
+            result = evaluate_site(site, folder, layout)
         self.report({"INFO"}, f"{self.directory}: objective {result['objective']:.1f} {result['metric_unit']}")
         return {"FINISHED"}
 

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.props import BoolProperty
 
 from ..casting import BVH, resolve
 from ..commands.background import heard
@@ -34,7 +35,7 @@ from ..run.verdict import POINTS
 from ..scene.mounting import mounting_from
 from ..scene.scenario import Scenario
 from ..scene.settings import DECLARED
-from ..world.blender.objects import hang
+from ..world.blender.objects import hang, lidars
 from ..world.blender.site import open_scenery
 from ..world.scenery import Scenery
 from . import live, operators, panels, properties, session
@@ -101,14 +102,15 @@ class Optimisation:
         use = scenario.search
         self.done, self.total, self.best, self.result, self.problem = 0, 0, None, None, ""
         self._recent: deque[tuple[float, int]] = deque()  # when how many were done
-        for space in scenario.deployment.spaces:
+        for space in () if scenario.further_lidars else scenario.deployment.spaces:  # how long a layout takes shows
             searches = use.seeds + (scenario.objective.tolerance is not None)
             self.total += searches * use.particles * use.iterations
             self.total += math.prod(POINTS) if all(axis in space.variables for axis in space.axes) else 0
         self._root = Path(tempfile.mkdtemp(prefix="blender_lidar-", dir=bpy.app.tempdir or None))
         self._read = 0  # bytes of what it has printed
         self.folder = self._root / "run"
-        keys = [(name, key) for name in DECLARED for key in ("", "x_m, y_m", *DECLARED[name])]
+        names = [*DECLARED, *(f"lidar {number}" for number in range(1, len(scenario.lidars) + 1))]
+        keys = [(name, key) for name in names for key in ("", "x_m, y_m", *DECLARED[name.split()[0]])]
         labels = {place: scenario.where(*place) for place in keys}
         order = {"scenario": replace(scenario, where=None), "labels": labels, "scenery": scenery}
         (self._root / _ORDER).write_bytes(pickle.dumps(order))
@@ -151,8 +153,8 @@ class Optimisation:
 
     @property
     def left_s(self) -> float | None:
-        """How long it still takes at its present rate [s]; None before that is known."""
-        if not self._recent or self._recent[-1][0] - self._recent[0][0] < _LEAST_S:
+        """How long it still takes at its present rate [s]; None before that is known, and for a layout."""
+        if not self.total or not self._recent or self._recent[-1][0] - self._recent[0][0] < _LEAST_S:
             return None
         (since, before), (_, now) = self._recent[0], self._recent[-1]
         rate = (now - before) / (time.monotonic() - since)
@@ -199,25 +201,32 @@ def job_of(lidar: bpy.types.Object) -> Optimisation | None:
     return _jobs.get(session.uid_of(lidar))
 
 
-def begin(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object) -> Optimisation:
-    """Start an optimisation, from the panel's fields.
+def begin(scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object, *, alone: bool = False) -> Optimisation:
+    """Start an optimisation of a LiDAR's layout, or of it `alone` beside the others, from the panel's fields.
 
     Raises
     ------
     BlenderLidarError
         For fields that cannot be used, or where no coordinate is searched.
     """
-    scenario = session.scenario_from(scene, lidar, here=False)
-    if not all(space.variables for space in scenario.deployment.spaces):
+    hung = session.layout_of(scene, lidar)
+    held = [one for one in hung if alone and one != lidar]
+    scenario = session.layout_scenario(scene, hung, here=False, held=held)
+    several, spaces = scenario.further_lidars, scenario.deployment.spaces
+    if all(one.is_held for one in scenario.lidars) if several else not all(space.variables for space in spaces):
         raise InputError("LiDAR panel: Optimise: every coordinate is fixed; switch at least one on")
     return Optimisation(scenario, open_scenery(scene, layer))
 
 
-def keep_result(lidar: bpy.types.Object, job: Optimisation) -> None:
-    """Keep with a LiDAR what its optimisation has found."""
-    found = {key: job.result[key] for key in ("deployment", "holdout")} | {"lines": result_lines(job.result)}
-    found |= {"before": properties.mounting_of(lidar).as_table(), "folder": job.keep(lidar.name)}
-    lidar.lidar.found = json.dumps(found)
+def keep_result(hung: Sequence[bpy.types.Object], job: Optimisation) -> None:
+    """Keep with each LiDAR of a layout what its optimisation has found."""
+    found = {"holdout": job.result["holdout"], "lines": result_lines(job.result), "places": {}}
+    found["folder"] = job.keep(hung[0].name if len(hung) == 1 else "layout")
+    for one, row in zip(hung, job.result["lidars"], strict=True):
+        before = properties.mounting_of(one).as_table()
+        found["places"][one.name] = {"deployment": row["deployment"], "before": before}
+    for one in hung:
+        one.lidar.found = json.dumps(found)
 
 
 def found_of(lidar: bpy.types.Object) -> dict[str, Any]:
@@ -229,17 +238,18 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
     """Search the mounting that sees the vehicles best; Escape stops it"""
 
     bl_idname, bl_label, bl_options = "lidar.optimise", "Optimise", {"REGISTER"}
+    alone: BoolProperty(description="Search this LiDAR, the others of the layout held as they hang")
 
     @operators.one_line_errors
     def execute(self, context):
         """Search and wait for the end, as scripts do."""
         lidar = session.active_lidar(context.scene)
-        job = begin(context.scene, context.view_layer, lidar)
+        job = begin(context.scene, context.view_layer, lidar, alone=self.alone)
         try:
             job.wait()
         except KeyboardInterrupt:
             job.stop()
-        return self._ended(lidar, job)
+        return self._ended(session.layout_of(context.scene, lidar), job)
 
     def invoke(self, context, event):
         """Search while the window stays free."""
@@ -248,10 +258,12 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
     @operators.one_line_errors
     def _begun(self, context):
         lidar = session.active_lidar(context.scene)
-        if job_of(lidar) is not None:
-            raise InputError(f"{lidar.name}: is being optimised already; Escape stops it")
-        self._scene, self._lidar = session.uid_of(context.scene), session.uid_of(lidar)
-        self._job = _jobs[self._lidar] = begin(context.scene, context.view_layer, lidar)
+        hung = session.layout_of(context.scene, lidar)
+        if busy := next((one for one in hung if job_of(one) is not None), None):
+            raise InputError(f"{busy.name}: is being optimised already; Escape stops it")
+        self._job = begin(context.scene, context.view_layer, lidar, alone=self.alone)
+        self._hung = [session.uid_of(one) for one in hung]
+        _jobs.update(dict.fromkeys(self._hung, self._job))
         self._timer = context.window_manager.event_timer_add(_EVERY_S, window=context.window)
         context.window_manager.progress_begin(0, 100)
         context.window_manager.modal_handler_add(self)
@@ -273,12 +285,12 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
         if alive:
             return {"PASS_THROUGH"}
         self._leave(context)
-        lidar = next((item for item in bpy.data.objects if session.uid_of(item) == self._lidar), None)
-        if lidar is None:
+        there = {session.uid_of(item): item for item in bpy.data.objects}
+        if not there.keys() >= set(self._hung):
             self._job.stop()
             self.report({"WARNING"}, "The LiDAR that was optimised is gone")
             return {"CANCELLED"}
-        return self._ended(lidar, self._job)
+        return self._ended([there[uid] for uid in self._hung], self._job)
 
     def cancel(self, context):
         """Blender closes its window or its file."""
@@ -288,19 +300,20 @@ class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
     def _leave(self, context):
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.progress_end()
-        _jobs.pop(self._lidar, None)
+        for uid in self._hung:
+            _jobs.pop(uid, None)
         live.redraw()
 
-    def _ended(self, lidar, job):
+    def _ended(self, hung, job):
         if job.result is None:
             job.stop()
             self.report({"ERROR"}, job.problem)
             return {"CANCELLED"}
-        keep_result(lidar, job)
+        keep_result(hung, job)
         bpy.ops.ed.undo_push(message="Optimise LiDAR")
-        folder = found_of(lidar)["folder"]
+        folder = found_of(hung[0])["folder"]
         kept = f"in {folder}" if folder.startswith("//") else "until Blender ends, as this file is not saved"
-        self.report({"INFO"}, f"{found_lines(lidar)[0]}; its report is kept {kept}")
+        self.report({"INFO"}, f"{found_lines(hung[0])[0]}; its report is kept {kept}")
         return {"FINISHED"}
 
 
@@ -311,8 +324,10 @@ def found_lines(lidar: bpy.types.Object) -> list[str]:
 
 def result_lines(result: Mapping) -> list[str]:
     """The mounting of a result.json, and what is detectable and gained on the held-out traffic, in short lines."""
-    place, (found, base, _), metric = result["deployment"], judged(result), metric_named(result["metric"])
-    lines = [f"{place['height_m']:.2f} m, tilt {place['tilt_x_deg']:.1f}°"]
+    (found, base, _), metric, lines = judged(result), metric_named(result["metric"]), []
+    for row in result["lidars"]:
+        place, name = row["deployment"], f"{row['name']}: " if len(result["lidars"]) > 1 else ""
+        lines.append(f"{name}{place['height_m']:.2f} m, tilt {place['tilt_x_deg']:.1f}°")
     if found is result:
         return [*lines, "Nothing was held out."]
     gain, within = measured(metric, found["gain_over_baseline"], found["interval_90"], "+")
@@ -332,10 +347,16 @@ class _NeedsFound:
 
 
 class _Hangs(_NeedsFound):
+    @operators.one_line_errors
     def execute(self, context):
-        """Hang it there, and scan."""
-        lidar = session.active_lidar(context.scene)
-        hang(lidar, mounting_from(found_of(lidar)[self.to], properties.road_of(context.scene)).pose)
+        """Hang it, and those that were optimised with it, and scan."""
+        lidar, there = session.active_lidar(context.scene), {one.name: one for one in lidars(context.scene)}
+        places = found_of(lidar).get("places") or {lidar.name: found_of(lidar)}
+        hung = [lidar] if len(places) == 1 else [there.get(name) for name in places]
+        if None in hung:
+            raise InputError(f"LiDAR {[*places][hung.index(None)]} of the layout is gone or renamed; optimise again")
+        for one, of in zip(hung, places.values(), strict=True):
+            hang(one, mounting_from(of[self.to], properties.road_of(context.scene)).pose)
         context.view_layer.update()
         return operators.LIDAR_OT_scan.execute(self, context)
 
@@ -392,9 +413,9 @@ class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
         panels.rows(settings, shared.traffic, "frames", "holdout")
         panels.rows(settings, shared.search, *properties.TABLES["search"])
         if job is not None:
-            total = max(job.done, job.total)  # a last climb may come on top
-            text = f"{job.done} of {total} mountings"
-            if hasattr(layout, "progress"):  # from 4.0 on
+            total = max(job.done, job.total, 1)  # a last climb may come on top
+            text = f"{job.done} of {total} mountings" if job.total else f"{job.done} layouts"
+            if job.total and hasattr(layout, "progress"):  # from 4.0 on
                 layout.progress(factor=job.done / total, text=text)
             else:
                 layout.label(text=text)
@@ -409,7 +430,10 @@ class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
             )
             layout.label(text="Escape stops it.")
             return
-        layout.operator("lidar.optimise", icon="VIEWZOOM")
+        together = len(session.layout_of(scene, lidar)) > 1
+        for alone in (False, True) if together else (False,):
+            text = f"Optimise {lidar.name if alone else 'Layout'}" if together else "Optimise"
+            layout.operator("lidar.optimise", text=text, icon="VIEWZOOM").alone = alone
         if group.found:
             box = layout.box().column(align=True)
             box.label(text="Found:")

@@ -1,5 +1,6 @@
 """The panels of the sidebar's tab LiDAR."""
 
+import json
 import math
 from pathlib import Path
 
@@ -116,9 +117,10 @@ class LIDAR_PT_sensor(OfTraffic, bpy.types.Panel):
         """A list, and pose of the active one."""
         column = layout.column(align=True)
         for item in session.lidars(scene):
-            chosen = item == lidar
+            chosen, row = item == lidar, column.row(align=True)
             icon = "RADIOBUT_ON" if chosen else "RADIOBUT_OFF"
-            column.operator("lidar.choose", text=item.name, icon=icon, depress=chosen).name = item.name
+            row.operator("lidar.choose", text=item.name, icon=icon, depress=chosen).name = item.name
+            row.prop(item.lidar, "in_layout", text="")
         layout.operator("lidar.add", text="Add LiDAR", icon="ADD")
         layout.prop(lidar.lidar, "name_")
         if lidar.lidar.name_ == properties.OWN:
@@ -176,6 +178,20 @@ def is_stale(scene: bpy.types.Scene, lidar: bpy.types.Object) -> bool:
     return moved or group.scanned_frame != scene.blender_lidar.frame
 
 
+def fused_lines(scene: bpy.types.Scene, lidar: bpy.types.Object) -> list[str]:
+    """What the layout of a LiDAR is worth together, in short lines; none where it hangs alone."""
+    hung, told = session.layout_of(scene, lidar), json.loads(scene.blender_lidar.fused or "{}")
+    if told.get("lidars") != [one.name for one in hung]:
+        return []
+    now, base = told["now"], told["baseline"]
+    lines = [f"Layout of {len(hung)}: objective {now['objective']:.2f}"]
+    lines.append(f"Detectable {100 * now['share']:.0f} % of {told['vehicles']}, alone")
+    lines.append(", ".join(f"{one.name} {100 * one.lidar.detectable_share:.0f} %" for one in hung))
+    gain, more = now["objective"] - base["objective"], now["share"] - base["share"]
+    lines.append(f"Over baselines {gain:+.2f}, {100 * more:+.0f} pp")
+    return [*lines, *(["Changed since: scan again."] if any(is_stale(scene, one) for one in hung) else [])]
+
+
 @panel("Score", LIDAR_PT_main.__name__)
 class LIDAR_PT_score(OfTraffic, bpy.types.Panel):
     """What the mounting is worth on this frame, beside the baseline."""
@@ -184,8 +200,12 @@ class LIDAR_PT_score(OfTraffic, bpy.types.Panel):
         """Objective, detectable share and the difference to the baseline."""
         group, shared = lidar.lidar, scene.blender_lidar
         layout.prop(shared, "metric")
+        for line in fused_lines(scene, lidar):
+            layout.label(text=line)
         if group.scanned_frame >= 0:
             box = layout.box().column(align=True)
+            if group.in_layout:
+                box.label(text=f"{lidar.name} alone:")
             gain, more = group.objective - group.baseline_objective, group.detectable_share - group.baseline_share
             box.label(text=f"Objective {group.objective:.2f}")
             box.label(text=f"Detectable {100 * group.detectable_share:.0f} % of {group.vehicles}")
@@ -193,8 +213,9 @@ class LIDAR_PT_score(OfTraffic, bpy.types.Panel):
             if is_stale(scene, lidar):
                 box.label(text="Changed since: scan again.", icon="ERROR")
         base = shared.baseline
-        tilt = math.degrees(base.tilt_x_deg)
-        layout.label(text=f"Baseline: {base.height_m:.2f} m, tilt {tilt:.1f}°")
+        own = {"height_m": base.height_m, "tilt_x_deg": math.degrees(base.tilt_x_deg)}
+        own |= json.loads(group.baseline or "{}")
+        layout.label(text=f"Baseline: {own['height_m']:.2f} m, tilt {own['tilt_x_deg']:.1f}°")
         layout.operator("lidar.set_baseline", icon="PINNED")
 
 

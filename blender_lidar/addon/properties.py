@@ -295,6 +295,7 @@ class LIDAR_PG_scene(bpy.types.PropertyGroup):
     )
     at_s: FloatProperty(name="Time", unit="TIME", options={"HIDDEN"}, description="Time of the frame in its recording")
     active: StringProperty(name="LiDAR", description="The LiDAR that is scanned, scored and optimised")
+    fused: StringProperty(options={"HIDDEN"}, description="What the layout is worth on the frame scanned last, as JSON")
     hung_on: StringProperty(
         default="{}", options={"HIDDEN"}, description="The road beside which the LiDARs hang, as JSON"
     )
@@ -416,6 +417,13 @@ class LIDAR_PG_lidar(bpy.types.PropertyGroup):
     live: BoolProperty(
         name="Live", update=_changed("live"), description="Scan and score again whenever the LiDAR is moved"
     )
+    in_layout: BoolProperty(
+        name="In Layout",
+        update=_changed("layout"),
+        description="Score and optimise this LiDAR together with the others that are in the layout",
+    )
+    number: IntProperty(default=99, options={"HIDDEN"}, description="Its place in the scene file's list of LiDARs")
+    baseline: StringProperty(options={"HIDDEN"}, update=_changed("baseline"), description="Its own in a layout: JSON")
     colour_by: EnumProperty(
         name="Colour by",
         update=_changed("look"),

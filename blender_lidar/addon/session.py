@@ -6,8 +6,11 @@ undo leaves as it is, or by their names where Blender has none.
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,15 +19,16 @@ import bpy
 
 from ..casting import resolve
 from ..casting.protocol import StandingScenery
-from ..clouds.live import DRAG_M, LiveFrame, Look
+from ..clouds.live import DRAG_M, FusedScores, LiveFrame, Look
 from ..errors import InputError
 from ..names import METRIC_NAMES
-from ..scene.mounting import ANGLES, LEANS, PLACE, Mounting, mounting_from
+from ..scene.lidars import OF_ANY_MODEL
+from ..scene.mounting import ANGLES, LEANS, MOUNTED, PLACE, Mounting, mounting_from
 from ..scene.observation import CountedFrame, of_scored_class, vehicle_weights
 from ..scene.region import region_of
 from ..scene.scenario import Scenario, scenario_of
 from ..scene.settings import DATASHEET, GATE, SensorSettings, is_sensor_file
-from ..scene.site import lattice_of, observation_of, read_recordings, scoring_of, standing_scenery
+from ..scene.site import observation_of, read_recordings, scoring_of, standing_scenery
 from ..sensors.model import model_names
 from ..traffic import Recording, Vehicles, instants, joined_recordings
 from ..world.blender.objects import is_lidar, lidars, pose_of
@@ -35,6 +39,7 @@ _SAME_M, _SAME_ROTATION = 2e-4, 1e-5  # nearer, a LiDAR hangs as it was hung
 _RECORDINGS: dict[str, tuple[str, list[Recording], Recording]] = {}  # by scene: what they were read with, and as one
 _OBJECTS: dict[str, tuple[tuple[str, str], StandingScenery]] = {}  # by scene: the user's own
 _FRAMES: dict[str, tuple[str, str, Mounting, LiveFrame]] = {}  # by LiDAR: what and where it was made for
+_FUSED: dict[str, tuple[list[LiveFrame], FusedScores | None]] = {}  # by scene: of the LiDARs that hang together
 
 
 def uid_of(block: bpy.types.ID) -> str:
@@ -69,15 +74,31 @@ def fields_of(scene: bpy.types.Scene) -> dict[str, dict[str, object]]:
 
 
 def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None, *, here: bool = True) -> Scenario:
+    """The scene of one LiDAR alone, which keeps the name that it has in its layout; as `layout_scenario`."""
+    hung = [] if lidar is None else layout_of(scene, lidar)
+    return layout_scenario(scene, hung, here=here).alone(hung.index(lidar) if hung else 0)
+
+
+def layout_of(scene: bpy.types.Scene, lidar: bpy.types.Object) -> list[bpy.types.Object]:
+    """The LiDARs of the layout that a LiDAR is in, in the order of their file; itself where it is in none."""
+    together = [one for one in lidars(scene) if one.lidar.in_layout] if lidar.lidar.in_layout else [lidar]
+    return sorted(together, key=lambda one: one.lidar.number)
+
+
+def layout_scenario(
+    scene: bpy.types.Scene, hung: list[bpy.types.Object], *, here: bool = True, held: Sequence[bpy.types.Object] = ()
+) -> Scenario:
     """The scene that is scanned, scored, exported and optimised: the scene file's settings, changed as the panel says.
 
     Parameters
     ----------
     scene : Scene
-    lidar : Object, optional
-        Whose sensor, mounting and bounds are the scene's.
+    hung : sequence of Object
+        Whose sensors, mountings and bounds are the scene's: none, a LiDAR, or those of a layout, as [[lidar]].
     here : bool
         Whether this process casts: others would need a Python of their own with bpy.
+    held : sequence of Object
+        Those of them that are not searched but stay as they hang.
 
     Raises
     ------
@@ -87,22 +108,50 @@ def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None,
     check_unit(scene)
     kept = properties.kept_of(scene.blender_lidar)
     tables, changes = dict(kept.tables), properties.changed(kept, fields_of(scene))
-    if lidar is not None:
-        own, changes_of_sensor = _sensor_of(lidar)
-        tables |= own | {"deployment": deployment_table(lidar)}
+    entries, named = [deployment_table(one, held=one in held) for one in hung], any(one.lidar.in_layout for one in hung)
+    baselines = [json.loads(one.lidar.baseline or "{}") for one in hung]
+    baselines = [{key: table[key] for key in MOUNTED if key in table} for table in baselines]
+    if named:
+        shared = {key: value for key, value in fields_of(scene)["baseline"].items() if key not in ("x_m", "y_m")}
+        tables |= {"baseline": {}, "sensor": _sensors_of(hung)}
+        for one, entry, own in zip(hung, entries, baselines, strict=True):
+            entry["name"] = re.sub(r"[^\w-]", "_", one.name)  # less what no name in a scene file has
+            entry |= {"sensor": sensor_of(one).name, "baseline": own or shared}
+    elif hung:
+        own, changes_of_sensor = _sensor_of(hung[0])
+        tables |= {**own, "baseline": baselines[0] or tables.get("baseline", {})}
         changes |= changes_of_sensor
     elif any(tables.get("road", {}).get(key) for key in ("net", "opendrive")):
         tables["deployment"] = {"x_m": 0.0, "y_m": 0.0}  # a map has no place of its own for a mast that is not there
+    if named or any(baselines):  # its own is in force
+        changes = {place: change for place, change in changes.items() if place[0] != "baseline"}
     if here:
         changes["model", "workers"] = 1, "the add-on"
-    where = partial(_where, scene.blender_lidar.source if kept.tables else "")
+    where = partial(_where, scene.blender_lidar.source if kept.tables else "", [one.name for one in hung])
     made = partial(scenario_of, where=where, source=f"scene {scene.name}", folder=Path(kept.folder), overrides=changes)
-    scenario = made(tables)
-    towards = None if lidar is None else properties.kept_of(lidar.lidar).tables.get("mast", {}).get("towards")
-    if towards is not None and scenario.deployment.middle_xy != tuple(towards) and not scenario.deployment.poles:
-        facing = properties.mounting_of(lidar).as_table()["facing_deg"]  # the region has moved since, and no mast
-        return made(tables | {"deployment": tables["deployment"] | {"facing_deg": facing}})
-    return scenario
+    tables |= {"lidar": entries} if named else {"deployment": entries[0]} if hung else {}
+    scenario, moved = made(tables), False
+    for one, entry, of in zip(hung, entries, scenario.lidars, strict=False):
+        towards = properties.kept_of(one.lidar).tables.get("mast", {}).get("towards")
+        if towards is not None and of.deployment.middle_xy != tuple(towards) and not of.deployment.poles:
+            entry["facing_deg"] = properties.mounting_of(one).as_table()["facing_deg"]
+            moved = True  # the region was, since the LiDAR was loaded; its mast was not turned
+    return made(tables) if moved else scenario
+
+
+def _sensors_of(hung):
+    """[sensor] of a layout: what all share, and a table for each model; a layout has one value of each setting."""
+    shared, models = {}, {}
+    for one in hung:
+        sensor = asdict(sensor_of(one))
+        model = sensor.pop("name")
+        for key, value in sensor.items():
+            of = shared if key in OF_ANY_MODEL else models.setdefault(model, {})
+            if of.setdefault(key, value) != value:
+                said = f"LiDAR {one.name}, {properties.label_of(key)}: is {value}, but {of[key]} of another"
+                allowed = "the same for all" if of is shared else f"the same for all {model}"
+                raise InputError(f"{said} in the layout; allowed: {allowed}")
+    return {"name": next(iter(models)), **shared, **models}
 
 
 def _sensor_of(lidar):
@@ -112,8 +161,11 @@ def _sensor_of(lidar):
     return {"sensor": kept.tables.get("sensor", {})}, changes
 
 
-def _where(source: str, table: str, key: str) -> str:
+def _where(source: str, names: Sequence[str], table: str, key: str) -> str:
     """What an error calls a setting: the panel's field, or the place in the scene file where the panel has none."""
+    if table.startswith("lidar "):
+        of = f"LiDAR {names[int(table.split()[1]) - 1]}"
+        return f"LiDAR panel: {of}{f', {properties.label_of(key)}' if key else ''}"
     has_field = table in ("sensor", "deployment", "baseline") or key in properties.TABLES.get(table, ())
     return properties.where(table, key) if has_field or not source else f"{source}: [{table}] {key}".rstrip()
 
@@ -144,7 +196,7 @@ def fill_scene(scene: bpy.types.Scene, tables: Mapping[str, Any], folder: str, s
     """
     group, found = scene.blender_lidar, scenario.as_tables()
     for name, keys in properties.TABLES.items():
-        properties.fill(getattr(group, name), keys, found[name])
+        properties.fill(getattr(group, name), keys, found.get(name) or scenario.baseline.as_table())
     group.source, metric = scenario.source, scenario.objective.metric
     group.metric = metric if metric in METRIC_NAMES else properties.OWN
     region, own = scenario.region, dict(tables.get("region", {}))
@@ -152,8 +204,8 @@ def fill_scene(scene: bpy.types.Scene, tables: Mapping[str, Any], folder: str, s
         group.region.with_gate = own.get("radius_m") == GATE
         group.region.centre_m, group.region.radius_m = region.centre_m, region.radius_m
         own |= {"centre_m": region.centre_m, "radius_m": GATE if group.region.with_gate else region.radius_m}
-    kept = {name: table for name, table in tables.items() if name not in ("sensor", "deployment")}
-    kept |= {"region": own, "baseline": found["baseline"], "road": found["road"]}
+    kept = {name: table for name, table in tables.items() if name not in ("sensor", "deployment", "lidar")}
+    kept |= {"region": own, "baseline": found.get("baseline", {}), "road": found["road"]}
     properties.keep_tables(group, kept, folder, fields_of(scene))
     group.schema = properties.SCHEMA
 
@@ -186,10 +238,11 @@ def sensor_table(lidar: bpy.types.Object) -> dict[str, object]:
     return table
 
 
-def fill_lidar(lidar: bpy.types.Object, tables: Mapping[str, Mapping], folder: str, scenario: Scenario) -> None:
-    """Set a LiDAR's fields to a scene's sensor and what it searches, and keep [sensor] as the `tables` of it say."""
-    group, found = lidar.lidar, scenario.as_tables()
-    sensor, deployment = found["sensor"], found["deployment"]
+def fill_lidar(lidar, tables: Mapping[str, Mapping], folder: str, scenario: Scenario, number: int = 0) -> None:
+    """Set a LiDAR's fields to what one of a scene has and searches, and keep [sensor] as the `tables` of it say."""
+    group, scenario = lidar.lidar, scenario.alone(number)
+    sensor, deployment = asdict(scenario.sensor), scenario.deployment.as_table()
+    group.in_layout, group.number = bool(scenario.lidar_name), number
     if sensor["name"] in model_names():
         group.name_ = sensor["name"]
     else:
@@ -209,6 +262,7 @@ def fill_lidar(lidar: bpy.types.Object, tables: Mapping[str, Mapping], folder: s
     towards = scenario.deployment.places[0].towards  # where masts on a map face unless the file says it
     mast = {} if towards is None else {"towards": list(towards)}
     properties.keep_tables(group, {"sensor": own, "deployment": deployment, "mast": mast}, folder, fields)
+    group.baseline = json.dumps(scenario.baseline.as_table()) if group.in_layout else ""
     group.schema = properties.SCHEMA
 
 
@@ -218,15 +272,15 @@ def _bounds_of(group: bpy.types.PropertyGroup) -> dict[str, list[float]]:
     return {key: [properties.exact(getattr(group, f"{key}_{end}"), key) for end in ("low", "high")] for key in on}
 
 
-def deployment_table(lidar: bpy.types.Object) -> dict[str, object]:
-    """[deployment] of a LiDAR: where it hangs, and the bounds of the rows that are on.
+def deployment_table(lidar: bpy.types.Object, *, held: bool = False) -> dict[str, object]:
+    """[deployment] of a LiDAR: where it hangs, and the bounds of the rows that are on, none where it is held there.
 
     A coordinate that is as the scene file had it keeps the file's number, which has more digits than Blender holds.
     """
     group, mounting, kept = lidar.lidar, properties.mounting_of(lidar), properties.kept_of(lidar.lidar)
     place, road = mounting.as_table(), properties.road_of(properties.scene_of(lidar))
     filed, filled = (of.get("deployment", {}) for of in (kept.tables, kept.fields))
-    bounds = _bounds_of(group)
+    bounds = {} if held else _bounds_of(group)
     fixed = {key: value for key, value in filed.items() if isinstance(value, float) and key not in bounds}
     leans = bounds.keys() & set(LEANS) or ("lean_deg" in filed and not bounds.keys() & set(ANGLES))
     turn = {key: place[key] or 0.0 for key in (LEANS if leans else ANGLES)}
@@ -237,7 +291,9 @@ def deployment_table(lidar: bpy.types.Object) -> dict[str, object]:
     now, then = (mounting_from(angles, road, mounting).pose.rotation for angles in (turn, as_filed))
     table |= as_filed if abs(now - then).max() < _SAME_ROTATION else turn
     table |= {key: filed[key] if pair == filled.get(key) else pair for key, pair in bounds.items()}
-    if group.poles:
+    if held:
+        table["facing_deg"] = place["facing_deg"]  # also of a mast that faces as its pole or the road says
+    elif group.poles:
         table = {key: value for key, value in table.items() if key not in ("x_m", "y_m") or key in bounds}
         table["poles"] = bpy.path.abspath(group.poles)
     return table
@@ -320,14 +376,16 @@ def live_frame(scene: bpy.types.Scene, lidar: bpy.types.Object, *, exact: bool =
     BlenderLidarError
         For settings, traffic or a frame that cannot be used.
     """
-    scenario, vehicles, key = scenario_from(scene, lidar), vehicles_of(scene), uid_of(lidar)
-    mounting, tables = properties.mounting_of(lidar), scenario.as_tables()
-    stamps = [_stamp(path) for path in scenario.files.values()]
-    of = repr(({name: tables[name] for name in tables if name not in ("deployment", "search")}, vehicles.frame, stamps))
-    about = repr((mounting, tables["deployment"])) if exact and scenario.world.clutter else ""
+    hung, vehicles, key = layout_of(scene, lidar), vehicles_of(scene), uid_of(lidar)
+    whole, layout = layout_scenario(scene, hung), [properties.mounting_of(one) for one in hung]
+    scenario, mounting = whole.alone(hung.index(lidar)), layout[hung.index(lidar)]
+    tables, stamps = scenario.as_tables(), [_stamp(path) for path in scenario.files.values()]
+    tables = {name: tables[name] for name in tables if name not in ("deployment", "search", "lidar")}
+    of = repr((tables, scenario.lidar_name, vehicles.frame, stamps))
+    about = repr((layout, [one.deployment for one in whole.lidars])) if exact and scenario.world.clutter else ""
     before = _FRAMES.get(key)
     if before is None or before[0] != of or (about and before[1] != about) or dragged_off(lidar, mounting):
-        _FRAMES[key] = of, about, mounting, _made_ready(scenario, vehicles, mounting)
+        _FRAMES[key] = of, about, mounting, _made_ready(scenario, vehicles, whole, layout)
     return _FRAMES[key][-1]
 
 
@@ -339,12 +397,12 @@ def dragged_off(lidar: bpy.types.Object, mounting: Mounting) -> bool:
     )
 
 
-def _made_ready(scenario: Scenario, vehicles: Vehicles, mounting: Mounting) -> LiveFrame:
+def _made_ready(scenario: Scenario, vehicles: Vehicles, whole: Scenario, layout: list[Mounting]) -> LiveFrame:
     caster, region = resolve(scenario.model.caster, "caster"), region_of(scenario.region, scenario.road_map)
     counted = region.holds(vehicles) & of_scored_class(vehicles, scenario.objective)
     frame = CountedFrame(vehicles, counted, vehicle_weights(vehicles, scenario.objective))
-    scenery = standing_scenery(scenario, caster, [mounting], margin_m=2.0 * DRAG_M)
-    observation = observation_of(scenario, lattice_of(scenario.sensor), caster, scenery)
+    scenery = standing_scenery(whole, caster, layout, margin_m=2.0 * DRAG_M)
+    observation = observation_of(scenario, caster, scenery)
     scoring = scoring_of(scenario) if frame.counted.any() else None
     return LiveFrame(frame, observation, scoring, ground=scenario.plane_returns)
 
@@ -378,7 +436,18 @@ def store(lidar: bpy.types.Object, vehicles: Vehicles, look: Look, baseline: Loo
         setattr(group, share, 0.0 if scored is None else float(scored.detectable.mean()))
 
 
+def store_layout(scene, hung: list[bpy.types.Object], frames: list[LiveFrame], looks: list[tuple[Look, Look]]) -> None:
+    """Keep with a scene what its layout is worth, fused of what each LiDAR sees now and as its baseline."""
+    told, key = {"lidars": [one.name for one in hung], "vehicles": int(frames[0].frame.counted.sum())}, uid_of(scene)
+    if key not in _FUSED or _FUSED[key][0] != frames:
+        _FUSED[key] = frames, FusedScores(frames) if frames[0].scoring else None
+    for name, of in zip(("now", "baseline"), zip(*looks, strict=True), strict=True) if _FUSED[key][1] else ():
+        scored = _FUSED[key][1].of(of)
+        told[name] = {"objective": float(scored.objective.sum()), "share": float(scored.detectable.mean())}
+    scene.blender_lidar.fused = json.dumps(told) if "now" in told else ""
+
+
 def forget() -> None:
     """Let go of all that is kept."""
-    for kept in (_RECORDINGS, _FRAMES, _OBJECTS):
+    for kept in (_RECORDINGS, _FRAMES, _OBJECTS, _FUSED):
         kept.clear()

@@ -298,17 +298,16 @@ _FAN_REACH_M, _BEAM_RADIUS_M = 25.0, 0.006
 _AZIMUTHS_RAD = (-math.pi / 3.0, 0.0, math.pi / 3.0)  # of the fan: across the road and obliquely ahead and back
 
 
-def build_lidar(scene: bpy.types.Scene, lattice: BeamLattice, pose: Pose) -> bpy.types.Object:
-    """A LiDAR at a mounting, in place of earlier ones: an empty whose axes are those of the sensor frame."""
-    clear(collection(scene, "LiDAR", SENSOR))
-    lidar = new_lidar(scene, pose)
+def build_lidar(scene: bpy.types.Scene, lattice: BeamLattice, pose: Pose, name: str = "LiDAR") -> bpy.types.Object:
+    """A LiDAR at a mounting: an empty whose axes are those of the sensor frame."""
+    lidar = new_lidar(scene, pose, name)
     dress(lidar, lattice)
     return lidar
 
 
-def new_lidar(scene: bpy.types.Scene, pose: Pose) -> bpy.types.Object:
+def new_lidar(scene: bpy.types.Scene, pose: Pose, name: str = "LiDAR") -> bpy.types.Object:
     """A LiDAR's empty at a mounting, still without pole, head and fan."""
-    lidar = add_object(collection(scene, "LiDAR", SENSOR), "LiDAR", None, parent=road_frame(scene))
+    lidar = add_object(collection(scene, "LiDAR", SENSOR), name, None, parent=road_frame(scene))
     lidar.empty_display_type, lidar.empty_display_size = "ARROWS", _AXES_M
     lidar.lock_scale = (True, True, True)
     hang(lidar, pose)

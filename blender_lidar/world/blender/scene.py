@@ -25,6 +25,7 @@ from ..scenery import Scenery
 from .detections import animate_detections, show_detections
 from .objects import (
     FAN,
+    SENSOR,
     SETTINGS,
     STAGE,
     add_object,
@@ -209,6 +210,10 @@ class Moment:
         The scene file's tables, for the add-on to go on with.
     detections : mapping of int to DetectedBoxes
         What a detector found, by the numbers of frames.
+    name : str
+        What the LiDAR is called.
+    further : tuple of Moment
+        The same of the other LiDARs of a layout, of which sensor, mounting, points and name count.
     """
 
     road: RoadMap
@@ -221,6 +226,8 @@ class Moment:
     scenery: Scenery | None = None
     settings: Mapping[str, object] | None = None
     detections: Mapping[int, DetectedBoxes] = field(default_factory=dict)
+    name: str = "LiDAR"
+    further: tuple[Moment, ...] = ()
 
 
 def empty_scene() -> bpy.types.Scene:
@@ -238,17 +245,22 @@ def empty_scene() -> bpy.types.Scene:
 
 def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     """Build a moment in a scene, in place of one that was built there earlier; objects of others stay."""
-    reach = max(_LEAST_REACH_M, moment.range_gate_m)
-    build_road(scene, moment.road, moment.pose.position[:2], reach)
+    each = moment, *moment.further
+    middle, gate_m = np.mean([one.pose.position for one in each], axis=0), max(one.range_gate_m for one in each)
+    away_m = float(max(np.abs(one.pose.position - middle).max() for one in each))
+    build_road(scene, moment.road, middle[:2], max(_LEAST_REACH_M, gate_m) + away_m)
     build_scenery(scene, moment.scenery)
     show_vehicles(scene, moment.vehicles, moment.detail)
-    lidar = build_lidar(scene, moment.lattice, moment.pose)
-    if moment.points is not None:
-        show_cloud(lidar, moment.points)
+    clear(collection(scene, "LiDAR", SENSOR))
+    for number, one in enumerate(each):
+        lidar = build_lidar(scene, one.lattice, one.pose, one.name)
+        if one.points is not None:
+            show_cloud(lidar, one.points)
+        if moment.settings is not None:
+            told = moment.settings | {"frame": moment.vehicles.frame, "number": number}
+            lidar[SETTINGS] = scene[SETTINGS] = json.dumps(told)
     show_detections(scene, moment.detections.get(moment.vehicles.frame))
-    if moment.settings is not None:
-        lidar[SETTINGS] = scene[SETTINGS] = json.dumps(moment.settings | {"frame": moment.vehicles.frame})
-    build_stage(scene, moment.road, moment.pose, min(_SEEN_AT_MOST_M, _SEEN_SHARE * moment.range_gate_m))
+    build_stage(scene, moment.road, moment.pose, min(_SEEN_AT_MOST_M, _SEEN_SHARE * gate_m + away_m))
     for layer in scene.view_layers:
         layer.update()
 
