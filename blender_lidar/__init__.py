@@ -23,11 +23,13 @@ _LAZY = {
     "Scan": "results",
     "Score": "results",
     "best_mounting": "api",
+    "judge_layout": "api",
     "judge_mounting": "api",
     "load_scene": "api",
     "metric": "metrics.metric",
     "scan_frame": "api",
     "score_cloud": "api",
+    "score_layout": "api",
     "score_mounting": "api",
     "score_mountings": "api",
 }

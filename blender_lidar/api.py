@@ -11,15 +11,16 @@ from __future__ import annotations
 import operator
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from .clouds.files import read_points
-from .clouds.scan import PointCloud
-from .clouds.snapshot import mounted_sensor
-from .commands.optimise import write_pages
-from .commands.options import in_words, scene_settings
+from .clouds.scan import PointCloud, joined_clouds
+from .clouds.snapshot import fused_header, mounted_sensors
+from .commands.optimise import check_searched, write_pages
+from .commands.options import in_words, layout_of, scene_settings
 from .commands.parsers import ScoreOptions
 from .commands.progress import RunProgress
 from .commands.score import boxes_of, metrics_of, score_table
@@ -31,11 +32,11 @@ from .optimise.multi_fidelity import MultiFidelitySearch
 from .plugins import name_in_file
 from .results import Run, Scan, Score, table_of
 from .run.optimise import ended_search, evaluate_site, optimise_site
-from .run.vehicle_table import vehicle_table
+from .run.vehicle_table import vehicle_tables
 from .run.verdict import POINTS
 from .scene.deployment import MOUNTING, MOUNTING_OR_LEAN
 from .scene.mount_checks import check_mount_is_clear
-from .scene.mounting import LEANS, Mounting
+from .scene.mounting import LEANS, Layout, Mounting
 from .scene.provenance import check_same_inputs
 from .scene.scenario import load_scenario, scenario_of
 from .scene.settings import DECLARED
@@ -170,9 +171,11 @@ def best_mounting(
     -------
     Run
         Of a run that Ctrl-C stops its best mounting so far, judged, with `complete` False; `out` can then be resumed.
-        With candidate poles, whose searches speak of one place each, it raises KeyboardInterrupt.
+        With candidate poles or several LiDARs, whose searches speak of one place each, it raises KeyboardInterrupt.
     """
-    if not all(place.bounds for place in site.scenario.deployment.places):
+    if site.scenario.further_lidars:
+        check_searched(site.scenario, "best_mounting: ")
+    elif not all(place.bounds for place in site.scenario.deployment.places):
         raise InputError(f"{site.scenario.where('deployment', '')} fixes every coordinate; give one a pair [low, high]")
     if resume and out is None:
         raise InputError("best_mounting: resume needs out, the folder of the run that was stopped")
@@ -185,10 +188,10 @@ def best_mounting(
                 optimise_site(site, run, listener, resume=resume)
             return _kept(run, out)
     except KeyboardInterrupt:
-        if listener.best_x is None or site.scenario.deployment.poles:  # whose searches speak of one place each
+        scenario = site.scenario
+        if listener.best_x is None or scenario.deployment.poles or scenario.further_lidars:  # which speak of one place
             raise
-        (best,) = site.scenario.deployment.spaces[0].layout(listener.best_x)
-        run = _judged(site, best, None)
+        run = _judged(site, scenario.deployment.spaces[0].layout(listener.best_x), None)
         run.complete = False
         return run
 
@@ -203,13 +206,20 @@ def judge_mounting(site: Site, *, out: str | Path | None = None, **mounting: flo
     **mounting : float
         Its coordinates [m, degrees]; those left out are the baseline's.
     """
-    return _judged(site, _mounting(site, mounting), out)
+    return _judged(site, (_mounting(site, mounting),), out)
 
 
-def _judged(site: Site, mounting: Mounting, out: str | Path | None) -> Run:
-    run = Run(_reaching(site, [mounting]), out)
+def judge_layout(site: Site, *, out: str | Path | None = None, **mountings: Mapping[str, object]) -> Run:
+    """The same of several LiDARs, by name: ``north={"height_m": 4.1, "pole": "NE"}``; what is left out is as its table
+    fixes it, else its baseline's.
+    """
+    return _judged(site, _layout(site, mountings, "judge_layout"), out)
+
+
+def _judged(site: Site, layout: Layout, out: str | Path | None) -> Run:
+    run = Run(_reaching(site, layout), out)
     with run.begun():
-        evaluate_site(run.site, run, mounting)
+        evaluate_site(run.site, run, layout)
         return _kept(run, out)
 
 
@@ -226,12 +236,25 @@ def _kept(run: Run, out: str | Path | None) -> Run:
 def score_mounting(site: Site, *, held_out: bool = False, **mounting: float) -> Score:
     """Score one mounting, its coordinates as keywords [m, degrees], on the searched frames, or the held-out ones."""
     place = _mounting(site, mounting)
-    site = _reaching(site, [place])
+    (found,) = _scores(_reaching(site, [place]), [(place,)], [place.as_table()], held_out)
+    return found
+
+
+def score_layout(site: Site, *, held_out: bool = False, **mountings: Mapping[str, object]) -> Score:
+    """Score a layout of several LiDARs, fused, and each of them alone: `mountings` are as for `judge_layout`."""
+    layout = _layout(site, mountings, "score_layout")
+    told = {one.name: hung.as_table() for one, hung in zip(site.scenario.lidars, layout, strict=True)}
+    alone = [tuple(one if k == number else None for k, one in enumerate(layout)) for number in range(len(layout))]
+    fused, *each = _scores(_reaching(site, layout), [layout, *alone], [told, *told.values()], held_out)
+    return replace(fused, alone=dict(zip(told, each, strict=True)))
+
+
+def _scores(site: Site, layouts: Sequence[Layout], told: Sequence[dict], held_out: bool) -> list[Score]:
     evaluator = Evaluator(_frames(site, held_out), site.observation, site.scoring)
-    totals = evaluator.totals([(place,)])
-    scores = float(totals.objective.sum()), float(totals.per_vehicle()[0]), float(totals.detectable_share()[0])
-    table = vehicle_table((place,), **{"holdout" if held_out else "search": evaluator})
-    return Score(place.as_table(), *scores, table_of(table))
+    totals = evaluator.totals(layouts)
+    scores = totals.objective.sum(axis=1), totals.per_vehicle(), totals.detectable_share()
+    tables = map(table_of, vehicle_tables(layouts, **{"holdout" if held_out else "search": evaluator}))
+    return [Score(*one) for one in zip(told, *(score.tolist() for score in scores), tables, strict=True)]
 
 
 def score_mountings(site: Site, table: Mapping | Iterable[Mapping], *, held_out: bool = False):
@@ -282,6 +305,9 @@ def _rows(table) -> list[Mapping]:
 
 def _mounting(site: Site, given: Mapping[str, float], where: str = "mounting") -> Mounting:
     """The mounting that coordinates give, checked, with the baseline's others."""
+    if site.scenario.further_lidars:
+        names = ", ".join(lidar.name for lidar in site.scenario.lidars)
+        raise InputError(f"{where}: is of one LiDAR, but the scene has {names}; allowed: score_layout, judge_layout")
     for name in given:
         if name not in MOUNTING_OR_LEAN:
             raise unknown_name(name, MOUNTING_OR_LEAN, "coordinate", where)
@@ -292,16 +318,27 @@ def _mounting(site: Site, given: Mapping[str, float], where: str = "mounting") -
     return site.scenario.mounting(numbers, where)
 
 
+def _layout(site: Site, given: Mapping[str, Mapping], where: str) -> Layout:
+    """The mountings of all LiDARs, from those that are given by name."""
+    for name, one in given.items():
+        if not hasattr(one, "keys"):
+            raise InputError(f"{where}: {name}: is {shown(one)}; allowed: a mapping such as {{'height_m': 4.1}}")
+    return layout_of(site.scenario, _plain({name: dict(one) for name, one in given.items()}), where)
+
+
 def _reaching(site: Site, mounts: Sequence[Mounting]) -> Site:
     """The site with all vehicles that matter to the mountings, none of which may stand in traffic."""
-    for mount in mounts:
-        check_mount_is_clear(site.scenario, [], {"mounting": mount})
+    several = site.scenario.further_lidars
+    hosts = site.scenario.each if several else [site.scenario] * len(mounts)
+    names = [f"mounting of {one.lidar_name}" if several else "mounting" for one in hosts]
+    for host, name, mount in zip(hosts, names, mounts, strict=True):
+        check_mount_is_clear(host, [], {name: mount})
     if reach_of(site.scenario, mounts) > site.reach_m:
         check_same_inputs(site.scenario, site.identity)
         site = prepare(site.scenario, mounts)
     frames = [frame.vehicles for frame in (*site.search, *site.holdout)]
-    for mount in mounts:
-        check_mount_is_clear(site.scenario, frames, {"mounting": mount})
+    for host, name, mount in zip(hosts, names, mounts, strict=True):
+        check_mount_is_clear(host, frames, {name: mount})
     return site
 
 
@@ -314,16 +351,21 @@ def _frames(site: Site, held_out: bool):
 # --- Clouds -----------------------------------------------------------------------------------------------------------
 
 
-def scan_frame(site: Site, frame: int, **mounting: float) -> Scan:
-    """Cast one revolution over a frame of the recording, ground included, from a mounting [m, degrees]."""
+def scan_frame(site: Site, frame: int, **mounting: float | Mapping[str, float]) -> Scan:
+    """Cast one revolution over a frame of the recording, ground included, from a mounting [m, degrees].
+
+    Of several LiDARs each has its mounting by its name, ``north={"height_m": 4.1}``, and the clouds are joined.
+    """
     try:
         number = operator.index(frame)
     except TypeError:
         raise InputError(f"frame: is {shown(frame)}; allowed: a whole number, as the recording counts them") from None
-    place, vehicles = _mounting(site, mounting), frame_of(site.recording, number, "frame")
-    check_mount_is_clear(site.scenario, [vehicles], {"mounting": place})
-    sensor = mounted_sensor(site.scenario, place)
-    return Scan(sensor.scan(vehicles), vehicles, sensor.cloud_header(vehicles))
+    vehicles = frame_of(site.recording, number, "frame")
+    layout = _layout(site, mounting, "scan_frame") if site.scenario.further_lidars else (_mounting(site, mounting),)
+    sensors = mounted_sensors(site.scenario, layout)
+    for sensor in sensors:
+        check_mount_is_clear(sensor.scenario, [vehicles], {"mounting": sensor.mounting})
+    return Scan(joined_clouds([of.scan(vehicles) for of in sensors]), vehicles, fused_header(sensors, vehicles))
 
 
 def score_cloud(

@@ -19,6 +19,7 @@ import pytest
 from blender_lidar import __version__
 from blender_lidar.commands.parsers import add_verbs
 from blender_lidar.errors import InputError, MissingFileError
+from blender_lidar.scene.lidars import LIDAR
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import DECLARED
 from blender_lidar.sensors.model import model_names
@@ -39,9 +40,12 @@ def test_a_shipped_scene_can_be_read_and_its_traffic_is_there(scene):
 def test_a_shipped_scene_is_found_by_its_name_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert Path(load_scenario("i80").traffic.path).is_file()
-    with pytest.raises(MissingFileError, match=r"^i81: there is no such file; .*: crossing, i80, paper$"):
+    shipped = "there is no such file; .*: crossing, crossing_two, i80, paper$"
+    with pytest.raises(MissingFileError, match=f"^i81: {shipped}"):
         load_scenario("i81")
-    with pytest.raises(MissingFileError, match=r"^scenes/i80.toml: there is no such file; .*: crossing, i80, paper$"):
+    with pytest.raises(
+        MissingFileError, match=r"^scenes/i80.toml: there is no such file; .*: crossing, crossing_two, i80, paper$"
+    ):
         load_scenario("scenes/i80.toml")
     (tmp_path / "i80").mkdir()  # a folder of results called so hides no scene
     assert Path(load_scenario("i80").traffic.path).is_file()
@@ -188,12 +192,15 @@ def allowed(declared) -> str:
 
 
 def keys_table() -> str:
-    """Every key of a scene file, table by table; those of [baseline] are those of [deployment]."""
+    """Every key of a scene file, table by table; those of [baseline] and of [[lidar]] are those of [deployment]."""
     parts = ["## Every key"]
     for table, settings in DECLARED.items():
         if table == "baseline":
             continue
-        parts += ["", f"### [{table}]", "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
+        called = f"[{table}]"
+        if table == "lidar":
+            called, settings = "[[lidar]]", {key: settings[key] for key in LIDAR}
+        parts += ["", f"### {called}", "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
         for meaning, keys in groupby(settings.items(), lambda item: item[1].help):  # some are explained together
             names, declared = zip(*keys, strict=True)
             columns = [map("`{}`".format, names), *(map(text, declared) for text in (default, allowed))]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.cli import main
-from blender_lidar.clouds.snapshot import mounted_sensor
+from blender_lidar.clouds.snapshot import mounted_sensors
 from blender_lidar.scene.scenario import scenario_of
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
@@ -70,7 +70,7 @@ HUNG = {"height_m": 4.0, "tilt_x_deg": 12.0}
 
 def cloud_of(scenario, frame, **hung):
     vehicles = next(one.vehicles for one in prepare(scenario).search if one.vehicles.frame >= frame)
-    return mounted_sensor(scenario, scenario.mounting({**HUNG, **hung})).scan(vehicles)
+    return mounted_sensors(scenario, (scenario.mounting({**HUNG, **hung}),))[0].scan(vehicles)
 
 
 def totals(scenario, **hung):

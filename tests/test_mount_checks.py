@@ -104,7 +104,7 @@ def test_what_is_right_is_told_nothing_of(case, tmp_path):
 
 def test_shipped_scenes_and_a_mounting_by_hand(tmp_path):
     pytest.importorskip("sumolib", reason="sumolib is not installed")
-    assert [list(mount_notes(load_scenario(path))) for path in shipped_scenes().values()] == [[], [], []]
+    assert [list(mount_notes(load_scenario(path))) for path in shipped_scenes().values()] == [[]] * 4
     given = scene(tmp_path)
     mount = given.mounting({"tilt_x_deg": 0.26})
     assert [note.partition(" degrees")[0] for note in mount_notes(given, [mount])] == [

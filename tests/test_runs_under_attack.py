@@ -261,7 +261,7 @@ def test_a_run_whose_messages_cannot_be_written_is_not_lost(attack, tmp_path, fi
 def test_an_evaluation_is_kept_when_its_traffic_vanishes_meanwhile(tmp_path, scene):
     site = prepare(load_scenario(scene))
     (tmp_path / "traffic.csv").unlink()
-    result = evaluate_site(site, RunFolder(tmp_path), site.scenario.baseline)
+    result = evaluate_site(site, RunFolder(tmp_path), site.scenario.baselines)
     assert result["identity"]["[traffic] path"].startswith("file with SHA-256 ")
 
 

@@ -152,10 +152,13 @@ EVERY_KEY = [(table, key, "2020-01-01") for table, settings in DECLARED.items() 
 def test_a_wrong_value_is_refused_with_the_file_the_table_and_the_key(tmp_path, table, key, value):
     tables = {"traffic": 'path = "traffic.csv"\n'}
     tables["search"] = 'method = "de-pso"\n' if key != "method" else ""  # which alone has all of [search]'s keys
+    tables["lidar"] = 'name = "north"\n' if table == "lidar" and key != "name" else ""
     tables[table] = f"{key} = {value}\n" if key == "path" else tables.get(table, "") + f"{key} = {value}\n"
-    text = "".join(f"[{name}]\n{content}" for name, content in tables.items())
+    called = {name: f"[{name}]" for name in tables} | {"lidar": "[[lidar]]"}
+    text = "".join(f"{called[name]}\n{content}" for name, content in tables.items() if content)
+    named = "[[lidar]] 1" if table == "lidar" else f"[{table}]"
     message = refusal(tmp_path, text)
-    assert message.startswith((f"[{table}] {key}: is ", f"[{table}] {key}: unknown ", f"[{table}.{key}]: is "))
+    assert message.startswith((f"{named} {key}: is ", f"{named} {key}: unknown ", f"[{table}.{key}]: is "))
 
 
 def test_a_tolerance_is_none_unless_said_and_its_half_widths_are_nought(tmp_path):

@@ -46,7 +46,7 @@ def tiny(one_study):
 
 
 def mountings(site):
-    return grid_candidates(site.scenario, mounting({"height_m": 4.0, "tilt_x_deg": 12.0}), 2, 3)
+    return grid_candidates(site.scenario, (mounting({"height_m": 4.0, "tilt_x_deg": 12.0}),), 2, 3)
 
 
 def every_variation(site):
@@ -220,7 +220,7 @@ def test_where_only_the_height_is_searched_candidates_differ_by_height_alone(sit
     scenario = load_scenario(site.scenario.source)
     tilt = {**scenario.deployment.fixed, "tilt_x_deg": 12.0}
     fixed = replace(scenario.deployment, fixed=tilt, bounds={"height_m": (2.0, 4.5)})
-    found = grid_candidates(replace(scenario, deployment=fixed), mounting({"tilt_x_deg": 12.0}), 6, 26)
+    found = grid_candidates(replace(scenario, deployment=fixed), (mounting({"tilt_x_deg": 12.0}),), 6, 26)
     assert found.points[1:].tolist() == [[height, 12.0] for height in (2.0, 2.5, 3.0, 3.5, 4.0, 4.5)]
 
 

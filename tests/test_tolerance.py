@@ -41,6 +41,7 @@ class Landscape:
     def __init__(self, function):
         self.function = function
         self.vehicles = self.weight = np.array([1])
+        self.lidars = ("",)
 
     def totals(self, layouts):
         poses = [one.pose for (one,) in layouts]

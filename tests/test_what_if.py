@@ -36,7 +36,7 @@ def kinds_by_lane(site):
 
 
 def test_a_lidar_higher_than_any_pole_has_its_coverage_too(site):
-    found = other_traffic(site, site.scenario.mounting({"height_m": 45.0, "tilt_x_deg": 60.0}))
+    found = other_traffic(site, (site.scenario.mounting({"height_m": 45.0, "tilt_x_deg": 60.0}),))
     assert found["repair"] is None or found["repair"]["height_m"] > 45.0
 
 
@@ -76,7 +76,7 @@ def test_lorries_add_no_vehicle_where_a_lane_is_empty_on_one_side_of_the_mast(tm
 
 
 def test_a_queue_is_counted_by_the_vehicles_that_it_was_made_of(site):
-    found = other_traffic(site, site.scenario.mounting({"height_m": 4.5, "tilt_x_deg": 23.0}))
+    found = other_traffic(site, (site.scenario.mounting({"height_m": 4.5, "tilt_x_deg": 23.0}),))
     queue = found["mixes"][-1]
     assert queue["what"] == "queue"
     assert queue["distinct_vehicles"] <= len(np.unique(site.recording.vehicle_id))
@@ -96,8 +96,8 @@ def test_the_other_side_has_the_mirror_image_of_a_mounting(site, changes):
 
 def test_coverage_of_recorded_traffic_is_that_of_the_frames_and_the_same_again(site):
     mounting = site.scenario.mounting({"height_m": 4.5, "tilt_x_deg": 23.0})
-    found = other_traffic(site, mounting)
-    assert found == other_traffic(site, mounting)
+    found = other_traffic(site, (mounting,))
+    assert found == other_traffic(site, (mounting,))
     with Evaluator(site.holdout, site.observation, site.scoring) as evaluator:
         share = evaluator.totals([(mounting,)]).detectable_share()[0]
     assert found["frames"] == (3 if CASTER == "exact" else len(site.holdout))

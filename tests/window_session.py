@@ -182,7 +182,7 @@ def steps():
     assert called("lidar.apply", "INVOKE_DEFAULT", True) == {"FINISHED"}
     yield 1.0
     place = tuple(round(value, 3) for value in lidar().location)
-    TOLD["found"] = json.loads(lidar().lidar.found)["deployment"]
+    TOLD["found"] = json.loads(lidar().lidar.found)["places"][lidar().name]["deployment"]
     photograph("6_optimised")
 
     # A second one, saved and opened again.

@@ -14,12 +14,12 @@ from ..report.study import StudyReport
 from ..scene.deployment import MOUNTING_OR_LEAN
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
-from ..studies.candidates import at_one_place, check_searched, sobol_candidates
+from ..studies.candidates import at_one_place, check_height_or_tilt_searched, sobol_candidates
 from ..studies.chart import FULL_CHART, QUICK_CHART, chart_identity, chart_study
 from ..studies.driver import StudyFolder
 from ..studies.stability import FULL_STABILITY, QUICK_STABILITY, study_identity, study_stability
 from .optimise import check_resume
-from .options import check_scipy, default_folder, given_options, mounting_from, scenario_from
+from .options import check_scipy, default_folder, given_options, layout_from, layout_of_run, scenario_from
 from .progress import Progress
 from .report import describe_site, say, say_result, say_stopped
 
@@ -29,7 +29,8 @@ def run_chart(args: argparse.Namespace) -> int:
     check_resume(args)
     tolerance = parse_share(args.max_regret, "--max-regret")
     check_scipy("chart")
-    scenario = at_one_place(scenario_from(args), args.pole)
+    whole = scenario_from(args)
+    scenario = at_one_place(whole, args.pole, layout_of_run(args.of_run, whole) if args.of_run else None)
     sobol_candidates(scenario, 2)  # refuses a scene that searches nothing
     effort, site = _effort_of(args, FULL_CHART, QUICK_CHART), prepare(scenario)
 
@@ -43,15 +44,16 @@ def run_stability(args: argparse.Namespace) -> int:
     """Carry out `stability`; returns the exit code."""
     check_resume(args)
     whole = scenario_from(args)
-    scenario = at_one_place(whole, args.pole)
-    check_searched(scenario)
-    mounting = mounting_from(args, whole) if given_options(args, MOUNTING_OR_LEAN) else None
-    effort, site = _effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, [mounting] if mounting else [])
+    given = given_options(args, MOUNTING_OR_LEAN) or args.lidar or args.of_run
+    layout = layout_from(args, whole) if given else None
+    scenario = at_one_place(whole, args.pole, layout)
+    check_height_or_tilt_searched(scenario)
+    effort, site = _effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, layout or ())
 
     def study(folder: StudyFolder) -> dict:
-        return study_stability(site, effort, folder, mounting)
+        return study_stability(site, effort, folder, layout)
 
-    return _carry_out(args, "stability", site, study_identity(site, effort, mounting), STABILITY_REPORT, study)
+    return _carry_out(args, "stability", site, study_identity(site, effort, layout), STABILITY_REPORT, study)
 
 
 def parse_share(text: str, option: str) -> float:

@@ -44,7 +44,10 @@ def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
     setbacks = parse_range(args.setback, "--setback", _FARTHEST_M)
     heights = parse_range(args.heights, "--height", _HIGHEST_M)
-    scenario = at_one_place(scenario_from(args))
+    scenario = scenario_from(args)
+    if scenario.further_lidars:
+        raise InputError(f"{scenario.source}: [[lidar]]: are {len(scenario.lidars)}; a table is of one: [deployment]")
+    scenario = at_one_place(scenario)
     if scenario.straight is None:
         raise InputError(f"{scenario.source}: [road] is a map; a table of setbacks is of a straight road")
     folder = Path(args.out or default_folder(scenario, "table"))

@@ -1,4 +1,4 @@
-"""Mountings that a study compares: Sobol's sequence over what is searched, or a grid through the mounting in question.
+"""Layouts that a study compares: Sobol's sequence over what is searched, or grids through the one in question.
 
 All that studies know of coordinates stands here.
 """
@@ -13,7 +13,8 @@ import numpy as np
 
 from ..errors import InputError
 from ..optimise.search import generator
-from ..scene.mounting import Layout, Mounting, changed_mounting
+from ..scene.deployment import SearchSpace, variable_of
+from ..scene.mounting import Layout, changed_mounting
 from ..scene.scenario import Scenario
 
 SOBOL_BITS = 30
@@ -22,12 +23,12 @@ BASELINE, FIRST = 0, 1  # rows of a landscape: the baseline, and where the candi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """Mountings to compare.
+    """Layouts to compare; of one LiDAR they are mountings.
 
     Attributes
     ----------
     variables : tuple of str
-        Names of the coordinates in which they differ.
+        Names of the coordinates in which they differ: of a grid height and tilt of each LiDAR, in their order.
     points : ndarray, (k, d)
         The candidates [m, degrees].
     layouts : tuple of Layout, (1 + k)
@@ -41,7 +42,12 @@ class Candidates:
     @property
     def leans(self) -> bool:
         """Whether a grid of heights has leans beside them, and not tilts across the mast's frame."""
-        return "lean_deg" in self.variables
+        return any(variable.endswith("lean_deg") for variable in self.variables)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the LiDARs whose coordinates these are; that of a single one is nothing."""
+        return tuple(dict.fromkeys(variable.rpartition(".")[0] for variable in self.variables))
 
     def select(self, numbers: Sequence[int]) -> Candidates:
         """The baseline and some of the candidates, by their rows in `points`."""
@@ -49,22 +55,32 @@ class Candidates:
         return Candidates(self.variables, self.points[list(numbers)], layouts)
 
 
+def lidar_names(scenario: Scenario) -> list[str]:
+    """Names by which several LiDARs are told apart; that of a single one is nothing."""
+    return [lidar.name for lidar in scenario.lidars] if scenario.further_lidars else [""]
+
+
+def joint_space(scenario: Scenario) -> SearchSpace:
+    """The search space of all LiDARs together, each on its one place."""
+    lidars = scenario.lidars
+    return SearchSpace(tuple(one.deployment.places[0] for one in lidars), tuple(one.name for one in lidars))
+
+
 def sobol_candidates(scenario: Scenario, count: int) -> Candidates:
-    """So many points of Sobol's sequence over [deployment], shifted at random by the scene's seed.
+    """So many points of Sobol's sequence over all searched coordinates, shifted at random by the scene's seed.
 
     Raises
     ------
     InputError
         When nothing is searched.
     """
-    space = scenario.deployment.spaces[0]
+    space = joint_space(scenario)
     if not space.bounds:
-        raise InputError(
-            f"{scenario.source}: [deployment] fixes every coordinate; allowed: at least one a pair [low, high]"
-        )
+        table = "every [[lidar]]" if scenario.further_lidars else "[deployment]"
+        raise InputError(f"{scenario.source}: {table} fixes every coordinate; allowed: at least one a pair [low, high]")
     lower, upper = np.array(space.lower, dtype=float), np.array(space.upper, dtype=float)
     points = sobol(scenario.search.seed, count, lower, upper)
-    return Candidates(space.variables, points, ((scenario.baseline,), *map(space.layout, points)))
+    return Candidates(space.variables, points, (scenario.baselines, *map(space.layout, points)))
 
 
 def sobol(seed: int, count: int, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -82,35 +98,52 @@ def sobol(seed: int, count: int, lower: np.ndarray, upper: np.ndarray) -> np.nda
     return np.clip(lower + (digits + 0.5) / (1 << SOBOL_BITS) * (upper - lower), lower, upper)
 
 
-def grid_candidates(scenario: Scenario, mounting: Mounting, heights: int, tilts: int) -> Candidates:
-    """The mounting in question, and a grid over the searched ones of height and tilt through it.
+def grid_candidates(scenario: Scenario, layout: Layout, heights: int, tilts: int) -> Candidates:
+    """The layout in question, and for each LiDAR a grid over its searched heights and tilts while the others are held.
 
-    The tilt is the lean where the scene is given by it; the other coordinates stay as they are in `mounting`.
+    The tilt is the lean where the scene is given by it; the other coordinates stay as they are in `layout`. For several
+    LiDARs there are as many points of Sobol's sequence over all heights and tilts as one grid has.
     """
-    (space,), place = scenario.deployment.spaces, mounting.as_table()
-    names, bounds = space.axes, space.places[0].bounds
-    axes = [
-        np.linspace(*bounds[name], count).round(9) if name in bounds else [place[name]]  # 4.3, not 4.30...01
-        for name, count in zip(names, (heights, tilts), strict=True)
-    ]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    points = np.concatenate([[[place[name] for name in names]], grid])
-    road = scenario.road_map
-    placed = (changed_mounting(mounting, road, **dict(zip(names, point, strict=True))) for point in grid.tolist())
-    return Candidates(names, points, tuple((one,) for one in (scenario.baseline, mounting, *placed)))
+    places = joint_space(scenario).places
+    axes = [SearchSpace((place,)).axes for place in places]
+    own = np.array([mounting.as_table()[key] for mounting, keys in zip(layout, axes, strict=True) for key in keys])
+    spans = [place.bounds.get(key) for place, keys in zip(places, axes, strict=True) for key in keys]
+    spans = [span or (at, at) for span, at in zip(spans, own.tolist(), strict=True)]
+    points = [own[None]]
+    for first in range(0, len(own), 2):
+        counted = zip(spans[first : first + 2], (heights, tilts), strict=True)
+        both = [np.linspace(*span, count).round(9) if span[0] < span[1] else span[:1] for span, count in counted]
+        grid = np.stack(np.meshgrid(*both, indexing="ij"), axis=-1).reshape(-1, 2)  # 4.3, not 4.30...01
+        points.append(np.tile(own, (len(grid), 1)))
+        points[-1][:, first : first + 2] = grid
+    if len(places) > 1:
+        points.append(sobol(scenario.search.seed, heights * tilts, *np.array(spans).T))
+    points = np.concatenate(points)
 
-
-def check_searched(scenario: Scenario) -> None:
-    """Refuse a scene that fixes both height and tilt: there is no optimum whose place could be uncertain."""
-    axes = scenario.deployment.spaces[0].axes
-    if not any(axis in scenario.deployment.bounds for axis in axes):
-        raise InputError(
-            f"{scenario.source}: [deployment] fixes {' and '.join(axes)}; allowed: at least one a pair [low, high]"
+    layouts = [
+        tuple(
+            hung if at == at_first else changed_mounting(hung, scenario.road_map, **dict(zip(keys, at, strict=True)))
+            for hung, keys, at, at_first in zip(
+                layout, axes, point.reshape(-1, 2).tolist(), own.reshape(-1, 2).tolist(), strict=True
+            )
         )
+        for point in points
+    ]
+    named = zip(lidar_names(scenario), axes, strict=True)
+    variables = tuple(variable_of(name, key) for name, keys in named for key in keys)
+    return Candidates(variables, points, (scenario.baselines, *layouts))
 
 
-def at_one_place(scenario: Scenario, pole: str | None = None) -> Scenario:
-    """The scene with one of its candidate poles as its place, by name.
+def check_height_or_tilt_searched(scenario: Scenario) -> None:
+    """Refuse a scene that fixes both height and tilt: there is no optimum whose place could be uncertain."""
+    every = [(lidar.deployment, lidar.deployment.spaces[0].axes) for lidar in scenario.lidars]
+    if not any(axis in deployment.bounds for deployment, axes in every for axis in axes):
+        table, fixed = "every [[lidar]]" if scenario.further_lidars else "[deployment]", " and ".join(every[0][1])
+        raise InputError(f"{scenario.source}: {table} fixes {fixed}; allowed: at least one a pair [low, high]")
+
+
+def at_one_place(scenario: Scenario, pole: str | None = None, layout: Layout | None = None) -> Scenario:
+    """The scene with one of its candidate poles as its place, by name, or those on which a layout hangs.
 
     Raises
     ------
@@ -123,12 +156,21 @@ def at_one_place(scenario: Scenario, pole: str | None = None) -> Scenario:
             f"{scenario.source}: [[traffic]]: {len(scenario.recordings)} recordings are for optimise and evaluate; a "
             "study is about one: [traffic]"
         )
-    deployment = scenario.deployment
-    if pole is not None:
-        return replace(scenario, deployment=deployment.on_pole(deployment.pole_named(pole)))
-    if deployment.poles:
-        raise InputError(
-            f"{scenario.source}: [deployment] poles: are for optimise; a study is about one place, --pole NAME: "
-            f"{', '.join(one.name for one in deployment.poles)}"
-        )
-    return scenario
+    if pole is not None and scenario.further_lidars:
+        raise InputError(f"--pole: is of one LiDAR, but the scene has {len(scenario.lidars)}; allowed: --run DIR")
+    placed = []
+    for one, mounting in zip(scenario.each, layout or (None,) * len(scenario.lidars), strict=True):
+        poles = {each.name: each for each in one.deployment.poles}
+        found = [each for each in poles.values() if mounting and (each.x_m, each.y_m) == mounting.xy]
+        if pole is not None:
+            found = [one.deployment.pole_named(pole)]
+        elif one.lidar_name and len(poles) == 1:
+            found = [*poles.values()]
+        if poles and not found:
+            asked = "one place of each LiDAR, --run DIR or for stability --lidar NAME,pole=NAME"
+            asked = asked if scenario.further_lidars else "one place, --pole NAME"
+            where = one.where("deployment", "poles")
+            raise InputError(f"{where}: are for optimise; a study is about {asked}: {', '.join(poles)}")
+        placed.append(one.deployment.on_pole(found[0]) if found else one.deployment)
+    others = [replace(lidar, deployment=at) for lidar, at in zip(scenario.further_lidars, placed[1:], strict=True)]
+    return replace(scenario, deployment=placed[0], further_lidars=tuple(others))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from ..world.shapes import DETAILS
 from .candidates import BASELINE, FIRST, Candidates, sobol_candidates
 from .driver import HELD_OUT, Job, Landscape, StudyFolder, judging_split, split_of, study_head
 from .effects import BOUND_LEVEL, SURE, Noise, Reference, compared, pareto_front, verdict
-from .variations import Ablation, ablations, of_fidelity, whole
+from .variations import ABLATION, Ablation, Variation, ablations, of_fidelity, whole, with_only
 
 CHART_SCHEMA = 4  # of the stages and of the result
 REFERENCE = Fidelity(DETAILS[-1])
@@ -100,10 +101,12 @@ def chart_study(site: Site, effort: ChartEffort, tolerance: float, folder: Study
     best = recommended(rows)
     numbers = reference.best(effort.varied_mountings)
     few, kept = reference.select(numbers), [BASELINE, *(FIRST + number for number in numbers)]
-    known = {of_fidelity(one).stage: scored[one].select(kept) for one in map(Fidelity, DETAILS)}
+    fusion, alone = _fusion(folder, site, every.select(numbers))
+    changes = [*ablations(site, effort.draws), *fusion]
+    known = {of_fidelity(one).stage: scored[one].select(kept) for one in map(Fidelity, DETAILS)} | alone
     return {
         **study_head(site, CHART_SCHEMA, effort),
-        "range_gate_m": site.observation.lidar.max_range_m,
+        "range_gate_m": site.scenario.range_gate_m,
         "blocks": len(np.unique(reference.searched_block)),
         "vehicles": int(reference.searched.vehicles.sum()),
         "judged_on": judging,
@@ -122,9 +125,7 @@ def chart_study(site: Site, effort: ChartEffort, tolerance: float, folder: Study
         "sentence": sentence(rows[0], best, tolerance, gain),
         "ablation_mountings": min(effort.varied_mountings, effort.mountings),
         "ablation_floor": few.noise and asdict(few.noise),
-        "ablations": ablation_rows(
-            folder, site, every.select(numbers), few, ablations(site, effort.draws), known, tolerance
-        ),
+        "ablations": ablation_rows(folder, site, every.select(numbers), few, changes, known, tolerance),
     }
 
 
@@ -136,7 +137,8 @@ def ladder(site: Site) -> list[Fidelity]:
 
     Strides leave a turn at least a few columns.
     """
-    strides = [stride for stride in STRIDES if site.observation.lattice.columns >= 4 * stride]
+    columns = min(lidar.lattice.columns for lidar in site.observation.lidars)
+    strides = [stride for stride in STRIDES if columns >= 4 * stride]
     return [
         Fidelity(detail, stride, frames=frames)
         for detail in reversed(DETAILS)
@@ -377,6 +379,19 @@ def ablation_rows(
         refused = next((one for draw in draws for one in draw if isinstance(one, str)), None)
         rows.append(ablation_row(change, refused, [] if refused else draws, every, reference, tolerance))
     return rows
+
+
+def _fusion(folder: StudyFolder, site: Site, every: Candidates) -> tuple[list[Ablation], dict[str, Landscape]]:
+    """The ablation of fusing several LiDARs; its side without is the mean of what each comes to alone, by its stage."""
+    names = [lidar.name for lidar in site.observation.lidars]
+    if len(names) == 1:
+        return [], {}
+    alone = [Variation(ABLATION, "only", name, partial(with_only, names=[name])) for name in names]
+    found = folder.landscapes(site, [Job(one, every.layouts) for one in alone], "LiDARs scored alone")
+    mean = replace(found[0], objective=np.mean([one.objective for one in found], axis=0))
+    without = Variation(ABLATION, "fusion", "each alone")
+    own = of_fidelity(Fidelity(site.scenario.world.detail))
+    return [Ablation("fusion", "scored together, not one by one", ((without, own),))], {without.stage: mean}
 
 
 def ablation_row(

@@ -20,6 +20,7 @@ from ..errors import InputError
 from ..files import check_folder, check_unused, folder_lock, make_folder, read_text, sweep, write_text
 from ..metrics.catalogue import metric_named
 from ..metrics.vgop import occupancy
+from ..run.optimise import sensors_text
 from ..scene.mounting import Layout, poses_of
 from ..scene.observation import CountedFrame, Observation
 from ..scene.provenance import check_identity, versions
@@ -44,7 +45,7 @@ def study_head(site: Site, schema: int, effort) -> dict[str, object]:
     return {
         "schema": schema,
         "scene": Path(site.scenario.source).name,
-        "sensor": site.model.name,
+        "sensor": sensors_text(site),
         "caster": site.observation.caster,
         "detail": site.observation.detail,
         "metric": site.scoring.metric,

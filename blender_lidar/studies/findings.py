@@ -6,6 +6,7 @@ mounting as planned, or the best known. A verdict comes from the 90 % interval o
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -16,6 +17,7 @@ import numpy as np
 from ..metrics.catalogue import DETECTABLE
 from ..metrics.metric import Metric
 from ..run.tolerance import LOW_SHARE, tolerance_text
+from ..scene.deployment import variable_of
 from ..scene.mounting import COORDINATE_NAMES
 from ..scene.settings import Tolerance
 from ..statistics import FEW_VEHICLES, FEWEST_BLOCKS, best_without_block, block_sums, interval_90, student_t_95
@@ -71,6 +73,11 @@ class Finding:
     verdict: str | None
     text: str
     numbers: dict = field(default_factory=dict)
+
+
+def by_name(told: Mapping, lidars: Sequence[str]) -> Mapping[str, Mapping]:
+    """What is told of each LiDAR by its name; a single one has none, and is told of without."""
+    return told if any(lidars) else {"": told}
 
 
 def by_loss(interval: Sequence[float] | None) -> str:
@@ -320,14 +327,22 @@ def optimum_finding(
     if blocks < FEWEST_BLOCKS:
         return Finding(TRAFFIC, what, "", UNDECIDED, "too few blocks of time")
     weights = samples_without_replacement(blocks, max(1, blocks // 2), np.random.default_rng(seed))
-    best = FIRST + np.argmax(objective[FIRST:][: len(mountings.points), filled] @ weights.T, axis=0)
-    (lowest, highest), (least, most) = (interval_90(column[best - FIRST]) for column in mountings.points.T)
-    shares = judged.detectable_share()
-    fewest, many = interval_90(shares[best])
-    tilt = "lean" if mountings.leans else "tilt"
-    text = f"height {lowest:.2f} to {highest:.2f} m, {tilt} {least:.1f} to {most:.1f} deg (90 %); from there "
-    text += f"{percent(fewest)} to {percent(many)} are detectable, from the mounting {percent(float(shares[FIRST]))}"
-    numbers = {"height_interval_90_m": [lowest, highest], "tilt_interval_90_deg": [least, most]}
+    points, shares, texts, numbers = mountings.points, judged.detectable_share(), [], {}
+    for number, name in enumerate(mountings.names):
+        own = slice(2 * number, 2 * number + 2)
+        held = (np.delete(points, own, axis=1) == np.delete(points[0], own)).all(axis=1)  # where only it is moved
+        rows = np.flatnonzero(held)
+        best = rows[np.argmax(objective[FIRST + rows][:, filled] @ weights.T, axis=0)]
+        (lowest, highest), (least, most) = both = [interval_90(column[best]) for column in points[:, own].T]
+        fewest, many = interval_90(shares[FIRST + best])
+        tilt = mountings.variables[own][1].rpartition(".")[2].split("_")[0]
+        place = f"height {lowest:.2f} to {highest:.2f} m, {tilt} {least:.1f} to {most:.1f} deg (90 %)"
+        seen = f"from there {percent(fewest)} to {percent(many)} are detectable"
+        texts.append(f"{name} {place}; {seen}".lstrip())
+        keys = (variable_of(name, key) for key in ("height_interval_90_m", "tilt_interval_90_deg"))
+        numbers |= zip(keys, map(list, both), strict=True)
+    called = "the layout" if len(texts) > 1 else "the mounting"
+    text = f"{'; '.join(texts)}, from {called} {percent(float(shares[FIRST]))}"
     return Finding(TRAFFIC, what, "", None, text, numbers)
 
 
@@ -371,9 +386,11 @@ def change_finding(
         return Finding(*change, UNDECIDED, refused[0])
     if not all(draw.chooses for draw in draws):
         return Finding(*change, UNDECIDED, "does not choose: it is the same wherever the LiDAR hangs")
-    heights, tilts = mountings.points[[draw.best for draw in draws]].T.tolist()
-    more = f"; rival at {_range(heights, 2)} m, {_range(tilts, 0)} deg"
-    numbers = {"best_height_m": heights, "best_tilt_deg": tilts}
+    columns, places, numbers = mountings.points[[draw.best for draw in draws]].T.tolist(), [], {}
+    for name, heights, tilts in zip(mountings.names, columns[::2], columns[1::2], strict=True):
+        places.append(f"{name} {_range(heights, 2)} m, {_range(tilts, 0)} deg".lstrip())
+        numbers |= {variable_of(name, "best_height_m"): heights, variable_of(name, "best_tilt_deg"): tilts}
+    more = f"; rival at {'; '.join(places)}"
     return judged_finding(change, [draw.judged for draw in draws], judges, more=more, numbers=numbers)
 
 
@@ -384,22 +401,26 @@ def _range(values: Sequence[float], digits: int) -> str:
 # --- an installer's errors --------------------------------------------------------------------------------------------
 
 
-def installation_findings(hung: Landscape, tolerance: Tolerance, judges: Judges) -> list[Finding]:
+def installation_findings(
+    hung: Landscape, tolerance: Tolerance, judges: Judges, names: Sequence[str] = ("",)
+) -> list[Finding]:
     """A line for each coordinate that is off to either side, and one for all.
 
     Parameters
     ----------
     hung : Landscape
         Of the baseline, the mounting as planned, for each coordinate of the tolerance less and more of it by its
-        half-width, and errors that stand for all.
+        half-width, and errors that stand for all; so for each LiDAR.
     tolerance : Tolerance
     judges : Judges
+    names : sequence of str
+        Names of the LiDARs, where there are several.
     """
     lines, row = [], RIVAL
-    for key, half_width in tolerance.half_widths.items():
+    for lidar, (key, half_width) in itertools.product(names, tolerance.half_widths.items()):
         name, unit = COORDINATE_NAMES[key]
         for side in ("less", "more"):
-            change = (MOUNTING, name, f"{half_width:g} {unit} {side}")
+            change = (MOUNTING, f"{lidar} {name}".lstrip(), f"{half_width:g} {unit} {side}")
             lines.append(judged_finding(change, [beside(hung, row, FIRST)], judges, "as planned"))
             row += 1
     errors = np.arange(row, len(hung.objective))
@@ -415,23 +436,33 @@ def installation_findings(hung: Landscape, tolerance: Tolerance, judges: Judges)
 
 
 def search_finding(
-    answers: Sequence[dict], draws: Sequence[Landscape], judges: Judges, *, leans: bool = False
+    answers: Sequence[dict],
+    draws: Sequence[Landscape],
+    judges: Judges,
+    names: Sequence[str] = ("",),
+    *,
+    leans: bool = False,
 ) -> Finding:
     """What the answers of several seeds lose to the best known mounting, and how far apart they lie.
 
     Parameters
     ----------
     answers : sequence of dict
-        Of each seed: ``mounting`` and ``evaluations``.
+        Of each seed: ``mounting``, of several LiDARs by name, and ``evaluations``.
     draws : sequence of Landscape
         Of each seed: the baseline, its answer, and what of all that is known is best on the frames of the search.
     judges : Judges
+    names : sequence of str
+        Names of the LiDARs, where there are several.
     leans : bool
         Whether orientations are given as leans.
     """
     key = "lean_deg" if leans else "tilt_x_deg"
-    heights, tilts = ([answer["mounting"][name] for answer in answers] for name in ("height_m", key))
-    more = f"; height {_range(heights, 2)} m, {key.split('_')[0]} {_range(tilts, 1)} deg"
+    found = [by_name(answer["mounting"], names) for answer in answers]
+    more, numbers = "", {}
+    for lidar in names:
+        heights, tilts = ([one[lidar][name] for one in found] for name in ("height_m", key))
+        more += f"; {f'{lidar} height'.lstrip()} {_range(heights, 2)} m, {key.split('_')[0]} {_range(tilts, 1)} deg"
+        numbers |= {variable_of(lidar, "height_m"): heights, variable_of(lidar, key): tilts}
     change = (SEARCH, "regret", f"{len(answers)} seeds of {answers[0]['evaluations']:,} evaluations")
-    numbers = {"height_m": heights, key: tilts}
     return judged_finding(change, draws, judges, "the best known", more, numbers)

@@ -7,7 +7,7 @@ change it is asked what the mounting in question loses to the best one under tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -15,14 +15,15 @@ import numpy as np
 from ..metrics.catalogue import METRICS, metric_named
 from ..plugins import short_name
 from ..run.optimise import fresh_search
-from ..run.tolerance import JUDGED_BASE, errors_from, installation_errors, installed
-from ..scene.mounting import Mounting
+from ..run.tolerance import JUDGED_BASE, at_limits, installation_errors, installed_layouts
+from ..scene.mounting import Layout
+from ..scene.scenario import Scenario
 from ..scene.settings import Tolerance
 from ..scene.site import Site
 from ..scoring.evaluation import site_evaluator
 from ..scoring.fidelity import with_fewer_frames
 from ..statistics import FEWEST_BLOCKS, block_sums
-from .candidates import BASELINE, FIRST, Candidates, grid_candidates
+from .candidates import BASELINE, FIRST, Candidates, grid_candidates, joint_space, lidar_names
 from .driver import (
     AS_IT_IS,
     HELD_OUT,
@@ -40,6 +41,7 @@ from .findings import (
     Judges,
     beside,
     best_row,
+    by_name,
     change_finding,
     chooses,
     cross_fitted,
@@ -96,14 +98,14 @@ FULL_STABILITY = StabilityEffort(
 QUICK_STABILITY = StabilityEffort(8, 8, heights=4, tilts=26, fine_tilts=51, seeds=3, budget=0.3, draws=2, quick=True)
 
 
-def study_identity(site: Site, effort: StabilityEffort, mounting: Mounting | None) -> dict[str, object]:
+def study_identity(site: Site, effort: StabilityEffort, layout: Layout | None) -> dict[str, object]:
     """What two runs of the study must share for the second to go on with the first's stages."""
     asked = {f"study {name}": value for name, value in asdict(effort).items()}
     limits = {"study losses": [*SHARE_LIMITS], "study schema": STABILITY_SCHEMA}
-    return {**site.identity, **asked, **limits, "study mounting": None if mounting is None else mounting.as_table()}
+    return {**site.identity, **asked, **limits, "study mounting": layout and _told(site.scenario, layout)}
 
 
-def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mounting: Mounting | None = None) -> dict:
+def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, layout: Layout | None = None) -> dict:
     """Carry out every stage that the folder does not hold, and put the results together.
 
     Parameters
@@ -113,8 +115,8 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
     effort : StabilityEffort
     folder : StudyFolder
         Locked by the caller.
-    mounting : Mounting, optional
-        The mounting in question; what the scene's search finds with its own seed if left out.
+    layout : Layout, optional
+        The mounting in question, or those of a layout; what the scene's search finds with its own seed if left out.
 
     Returns
     -------
@@ -125,25 +127,26 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
     whole = with_fewer_frames(site, effort.frames)
     few = with_fewer_frames(whole, effort.varied_frames)
     answers = _answers(folder, whole, effort)
-    reference = scene.mounting(answers[0]["mounting"]) if mounting is None else mounting
+    own = tuple(_layout_of(scene, answer) for answer in answers)
+    reference, names = layout or own[0], lidar_names(scene)
     tolerance = scene.objective.tolerance or USUAL
 
     fine = grid_candidates(scene, reference, effort.heights, effort.fine_tilts)
-    own = tuple((scene.mounting(answer["mounting"]),) for answer in answers)
     splits = tuple(dict.fromkeys((SEARCHED, judging)))
     jobs = [Job(AS_IT_IS, (*fine.layouts, *own), split) for split in splits]
     as_it_is = folder.landscapes(site, jobs, "the scene as it is")
     searched, judged = as_it_is[0], as_it_is[-1]
     judges, judges_of_changes = _judges(site, judging), _judges(few, judging)
-    kept = FIRST if judging == HELD_OUT or mounting else cross_fitted(searched, judges.block)
+    kept = FIRST if judging == HELD_OUT or layout else cross_fitted(searched, judges.block)
     findings = [
         gain_finding(beside(judged, BASELINE, kept), judges),
         optimum_finding(searched, judged, fine, site.plan.search_block, seed),
     ]
-    plan = (scene.baseline,), (reference,)
-    hung = Job(Variation(MOUNTING, "installation", ""), (*plan, *_off_plan(reference, tolerance)), judging)
+    off_plan = [one for pair in at_limits(reference, tolerance, names).values() for one in pair]
+    off_plan += installed_layouts(reference, installation_errors(tolerance, JUDGED_BASE))
+    hung = Job(Variation(MOUNTING, "installation", ""), (scene.baselines, reference, *off_plan), judging)
     (off,) = folder.landscapes(few, [hung], "installation errors")
-    findings += installation_findings(off, tolerance, judges_of_changes)
+    findings += installation_findings(off, tolerance, judges_of_changes, names)
     coarse = grid_candidates(scene, reference, effort.heights, effort.tilts)
     varied = [
         replace(AS_IT_IS, section=TRAFFIC),
@@ -151,12 +154,12 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
         *traffic_variations(site, effort.draws),
         *sensor_variations(few, effort.draws),
     ]
-    for change, draws in _draws(folder, few, varied, coarse, judging, given=mounting is not None).items():
+    for change, draws in _draws(folder, few, varied, coarse, judging, given=layout is not None).items():
         unit = metric_named(change[2] if change[2] in METRICS else site.scoring.metric)
         findings.append(change_finding(change, draws, coarse, judges_of_changes._replace(metric=unit)))
     best = best_row(searched, np.isin(site.plan.search, whole.plan.search))
-    rows = range(len(fine.layouts), len(fine.layouts) + len(own))
-    findings.append(search_finding(answers, [beside(judged, row, best) for row in rows], judges, leans=fine.leans))
+    found = [beside(judged, len(fine.layouts) + row, best) for row in range(len(own))]
+    findings.append(search_finding(answers, found, judges, names, leans=fine.leans))
     findings.sort(key=lambda finding: SECTIONS.index(finding.section))  # which keeps their order within a section
     values = searched.per_vehicle()
     return {
@@ -168,22 +171,23 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, mo
         "judged_on": judging,
         "judged_frames": len(judges_of_changes.block),
         "vehicles": int(searched.vehicles.sum()),
-        "mounting": reference.as_table(),
-        "baseline": scene.baseline.as_table(),
-        "mounting_given": mounting is not None,
+        "mounting": _told(scene, reference),
+        "baseline": _told(scene, scene.baselines),
+        "mounting_given": layout is not None,
         "objective_per_vehicle": float(values[FIRST]),
         "baseline_per_vehicle": float(values[BASELINE]),
         "tolerance": asdict(tolerance),
         "seeds": answers,
         "findings": [asdict(finding) for finding in findings],
         **({"leans": True} if fine.leans else {}),
+        **({"lidars": names} if any(names) else {}),
     }
 
 
 def _answers(folder: StudyFolder, site: Site, effort: StabilityEffort) -> list[dict]:
     """What the search finds with the scene's seed and with the ones that follow it: mounting, value, evaluations."""
-    scene, (space,) = site.scenario, site.scenario.deployment.spaces
-    iterations = max(1, round(effort.budget * scene.search.iterations))
+    scene, space = site.scenario, joint_space(site.scenario)
+    iterations = max(1, round(effort.budget * scene.search.iterations)) * len(scene.lidars)
     stages = {seed: f"seed_{seed}" for seed in range(scene.search.seed, scene.search.seed + effort.seeds)}
     searches = {
         seed: fresh_search(replace(scene, search=replace(scene.search, seed=seed, iterations=iterations)), space)
@@ -201,10 +205,22 @@ def _answers(folder: StudyFolder, site: Site, effort: StabilityEffort) -> list[d
                     asked = search.ask()
                     search.tell(evaluator.totals([space.layout(x) for x in asked]).per_vehicle())
                     shown.advance(len(asked))
-                answer = {"seed": seed, "mounting": space.layout(search.best_x)[0].as_table()}
+                answer = {"seed": seed, "mounting": _told(scene, space.layout(search.best_x))}
                 answer |= {"per_vehicle": search.best_value, "evaluations": search.evaluations}
                 folder.store(stages[seed], answer)
     return [folder.stored(stage) for stage in stages.values()]
+
+
+def _told(scene: Scenario, layout: Layout) -> dict:
+    """The coordinates of a layout as JSON holds them, of several LiDARs by their names."""
+    tables = {name: mounting.as_table() for name, mounting in zip(lidar_names(scene), layout, strict=True)}
+    return tables.get("", tables)
+
+
+def _layout_of(scene: Scenario, answer: Mapping) -> Layout:
+    """The layout of one of `_answers`."""
+    told = by_name(answer["mounting"], lidar_names(scene))
+    return tuple(one.mounting(table) for one, table in zip(scene.each, told.values(), strict=True))
 
 
 def _judging_split(site: Site) -> str:
@@ -266,11 +282,3 @@ def _draws(
     for one, found in zip(variations, searched, strict=True):
         draws.setdefault((one.section, one.what, one.value), []).append(values.get(one, found))
     return draws
-
-
-def _off_plan(plan: Mounting, tolerance: Tolerance) -> list[tuple[Mounting]]:
-    """Mountings off the plan: each coordinate by minus and plus its half-width, then errors that stand for all."""
-    each = np.eye(len(tolerance.half_widths))
-    limits = errors_from(tolerance, np.stack([-each, each], axis=1).reshape(-1, len(each)))
-    errors = np.concatenate([limits, installation_errors(tolerance, JUDGED_BASE)])
-    return [(one,) for one in installed(plan, errors)]

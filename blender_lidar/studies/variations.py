@@ -7,20 +7,22 @@ they are turned into others, and queue up again with the gaps that they are give
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from ..casting.protocol import StandingScenery
+from ..errors import InputError
 from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
 from ..run.what_if import mixes, with_traffic
 from ..scene.site import Site, lattice_of, standing_scenery
+from ..scene.usual import ON_PLANE_M
 from ..scoring.fidelity import Fidelity, coarse_observation
-from ..sensors.beams import beam_lattice
+from ..sensors.beams import BeamLattice, beam_lattice
 from ..traffic.vehicles import PEDESTRIAN, Vehicles
 from ..world.scenery import along_road, barrier, join
 from ..world.shapes import DETAILS
@@ -39,7 +41,7 @@ def traffic_variations(site: Site, draws: int) -> list[Variation]:
     """
     found = [
         Variation(TRAFFIC, mix.what, mix.value, partial(mix.change, seed=number), number)
-        for mix in mixes(site, site.scenario.deployment.nominal_xy)
+        for mix in mixes(site, site.scenario.nominal_xy)
         for number in (range(1, draws + 1) if mix.is_drawn else (0,))
     ]
     if _pedestrians_hide(site):
@@ -115,28 +117,42 @@ def sensor_variations(site: Site, draws: int) -> list[Variation]:
         for value in values
         for number in range(1, draws + 1)
     ]
-    rates = [rate for rate in site.model.rotation_hz if rate != site.observation.lattice.rotation_hz]
+    beams, names = [one.lattice for one in site.observation.lidars], [one.name for one in site.scenario.lidars]
+    rates = [rate for rate in beams[0].model.rotation_hz if all(rate in one.model.rotation_hz for one in beams)]
+    rates = [rate for rate in rates if any(rate != one.rotation_hz for one in beams)]
     fixed = [("glass drop-out", "1", {"glass_dropout": 1.0})]  # loses them all
     fixed += [("10 % target seen", f"to {reach:g} m", {"range_at_10_percent_m": reach}) for reach in (60.0, 30.0)]
     fixed += [("rotation rate", f"{rate:g} Hz", {"rotation_hz": rate}) for rate in rates]
     changes += [(what, text, partial(with_sensor, settings=settings)) for what, text, settings in fixed]
     changes += [("azimuth phase", f"{share:.2f} of a step", partial(_turned, share=share)) for share in PHASES]
+    for out in names[len(names) == 1 :]:
+        changes.append(("LiDAR out of order", out, partial(with_only, names=[name for name in names if name != out])))
     return [Variation(SENSOR, *change) for change in changes]
 
 
 def with_sensor(site: Site, settings: Mapping[str, float | None]) -> Site:
-    """The site with other keys of [sensor]."""
-    sensor = replace(site.scenario.sensor, **settings)
-    lattice = lattice_of(sensor)
-    observation = site.observation.with_lidar(lattice=lattice, imperfections=sensor.imperfections)
-    return replace(site, model=lattice.model, observation=observation)
+    """The site with other keys of [sensor], for all LiDARs alike."""
+    sensors = [replace(lidar.sensor, **settings) for lidar in site.scenario.lidars]
+    lidars = [
+        replace(lidar, lattice=lattice_of(sensor), imperfections=sensor.imperfections)
+        for lidar, sensor in zip(site.observation.lidars, sensors, strict=True)
+    ]
+    return replace(site, observation=replace(site.observation, lidars=tuple(lidars)))
+
+
+def with_only(site: Site, names: Sequence[str]) -> Site:
+    """The site with some of its LiDARs alone: the others hang, and see nothing."""
+    lidars = (one if one.name in names else replace(one, max_range_m=0.0) for one in site.observation.lidars)
+    return replace(site, observation=replace(site.observation, lidars=tuple(lidars)))
 
 
 def _turned(site: Site, share: float) -> Site:
     """The site with its sensor's columns shifted by a share of their step."""
-    old = site.observation.lattice
-    lattice = beam_lattice(site.model, old.rotation_hz, phase_rad=share * old.step_rad)
-    return replace(site, observation=site.observation.with_lidar(lattice=lattice))
+
+    def turned(old: BeamLattice) -> BeamLattice:
+        return beam_lattice(old.model, old.rotation_hz, phase_rad=share * old.step_rad)
+
+    return replace(site, observation=site.observation.with_lattices(turned))
 
 
 # --- the model: how finely it is calculated, and what is in it --------------------------------------------------------
@@ -247,7 +263,10 @@ def _heights(site: Site, own: Variation) -> list[Ablation]:
 def levelled(site: Site) -> Site:
     """The site with a road as high everywhere as at the mast, which then hides nothing."""
     scenario, surface = site.scenario, site.scenario.road_map.surface
-    foot_m = float(surface.height(np.array([scenario.deployment.nominal_xy]))[0])
+    feet_m = surface.height(np.array([one.deployment.nominal_xy for one in scenario.lidars]))
+    if np.ptp(feet_m) > ON_PLANE_M:
+        raise InputError(f"the masts' feet differ by {np.ptp(feet_m):.2f} m: no level road is under them all")
+    foot_m = float(feet_m[0])
 
     def lowered(vehicles: Vehicles) -> Vehicles:
         off = (surface.height(vehicles.centre_m) - foot_m)[:, None] * [0.0, 0.0, 1.0]
@@ -268,23 +287,30 @@ def _with_barrier(site: Site, y_m: float) -> Site:
 
 
 def _azimuth_offsets(site: Site, own: Variation) -> Ablation:
-    what, offsets = "azimuth offsets", np.degrees(site.model.azimuth_offset_rad)
+    models = [lidar.lattice.model for lidar in site.observation.lidars]
+    what, offsets = "azimuth offsets", np.degrees(np.concatenate([model.azimuth_offset_rad for model in models]))
     if not offsets.any():
-        return Ablation(what, "", (), f"the beam table of the {site.model.name} has none")
+        return Ablation(
+            what, "", (), f"the beam table of the {' and '.join(dict.fromkeys(one.name for one in models))} has none"
+        )
     level = Variation(ABLATION, what, "left out", without_offsets)
     return Ablation(what, f"{offsets.min():g} to {offsets.max():g} deg", ((level, own),))
 
 
 def without_offsets(site: Site) -> Site:
     """The site with a sensor all of whose rings look where their column does."""
-    model = replace(site.model, azimuth_offset_rad=np.zeros(site.model.rings))
-    lattice = beam_lattice(model, site.observation.lattice.rotation_hz)
-    return replace(site, model=model, observation=site.observation.with_lidar(lattice=lattice))
+
+    def level(old: BeamLattice) -> BeamLattice:
+        return beam_lattice(replace(old.model, azimuth_offset_rad=np.zeros(old.model.rings)), old.rotation_hz)
+
+    return replace(site, observation=site.observation.with_lattices(level))
 
 
 def _imperfections(site: Site, own: Variation, draws: int) -> list[Ablation]:
     """Keys of [sensor] that make it imperfect: at 0 and as asked, or as the scene has it."""
-    noise_m, weak_m = site.model.range_noise_m, site.model.range_at_10_percent_m or WEAK_RETURNS_M
+    models = [lidar.lattice.model for lidar in site.observation.lidars]
+    noise_m = max(one.range_noise_m for one in models)
+    weak_m = min(one.range_at_10_percent_m or WEAK_RETURNS_M for one in models)
     asked = (
         ("glass drop-out", f"{100 * GLASS:g} % of its returns", "glass_dropout", GLASS),
         ("range noise", f"{noise_m:g} m", "range_noise_m", noise_m),
@@ -292,15 +318,17 @@ def _imperfections(site: Site, own: Variation, draws: int) -> list[Ablation]:
         ("weak returns", f"10 % target seen to {weak_m:g} m", _WEAK, weak_m),
         ("unit spread", f"{SPREAD_DEG:g} deg", "unit_spread_deg", SPREAD_DEG),
     )
-    sensor, found = site.scenario.sensor, []
-    at_random = sensor.range_noise_m or sensor.dropout or sensor.glass_dropout or sensor.unit_spread_deg
+    sensors, found = [lidar.sensor for lidar in site.scenario.lidars], []
+    drawn = ("range_noise_m", "dropout", "glass_dropout", "unit_spread_deg")
+    at_random = any(getattr(sensor, key) for sensor in sensors for key in drawn)
 
     def side(name: str, value: str, draw: int, **settings) -> Variation:
         seeds = {"noise_seed": draw, "unit": draw} if draw else {}
         return Variation(ABLATION, name, value, partial(with_sensor, settings=seeds | settings), draw)
 
     for what, value, key, number in asked:
-        has, pairs = getattr(sensor, key), []
+        has = " and ".join(dict.fromkeys(f"{one:g}" for sensor in sensors if (one := getattr(sensor, key))))
+        pairs = []
         for draw in range(1, draws + 1) if key != _WEAK else (0,):
             as_it_is = side("as drawn", "", draw) if draw and at_random else own
             if has:
@@ -308,5 +336,5 @@ def _imperfections(site: Site, own: Variation, draws: int) -> list[Ablation]:
                 pairs.append((nothing, as_it_is))
             else:
                 pairs.append((as_it_is, side(what, value, draw, **{key: number})))
-        found.append(Ablation(what, f"{has:g}, as the scene has it" if has else value, tuple(pairs)))
+        found.append(Ablation(what, f"{has}, as the scene has it" if has else value, tuple(pairs)))
     return found
