@@ -10,6 +10,7 @@ from pathlib import Path
 
 from blender_lidar.commands.progress import Progress
 from blender_lidar.errors import BlenderLidarError
+from blender_lidar.optimise import Search
 from blender_lidar.signals import stops_recognised
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -73,3 +74,13 @@ def run_script(name: str, work: Callable[[], object]) -> int:
         print(f"{name}: stopped", file=sys.stderr)
         return 1
     return 0
+
+
+class Silent:
+    """A `run.replay.Listener` that shows nothing."""
+
+    def searching(self, search: Search) -> None:
+        """Nothing is shown."""
+
+    def mapping(self, points: int) -> None:
+        """Nothing is shown."""

@@ -214,7 +214,7 @@ def with_even_beams(site: Site) -> Site:
     """The site with its sensor's beams spread evenly."""
     model = evenly_spaced(site.model)
     lattice = beam_lattice(model, site.observation.lattice.rotation_hz)
-    return replace(site, model=model, observation=site.observation.with_lidar(lattice=lattice))
+    return replace(site, observation=site.observation.with_lidar(lattice=lattice))
 
 
 def evenly_spaced(model: LidarModel) -> LidarModel:

@@ -24,7 +24,7 @@ from blender_lidar.detection.judge import (
     JudgedDetector,
     detection_result,
     detector_at,
-    judge_detector,
+    judge_detectors,
     judging_frames,
     sensor_at,
 )
@@ -96,7 +96,7 @@ def _mounts(site: Site, sensor: str) -> dict[str, Mounting]:
 def _judged(site: Site, mounts: Mapping[str, Mounting], detector: str, advance) -> dict[str, JudgedDetector]:
     judged = {}
     for name, mount in mounts.items():
-        judged[name] = judge_detector(site, mount, detector_at(site, mount, detector))
+        judged[name] = judge_detectors(site, (mount,), [detector_at(site, mount, detector)])["given"]
         advance(1, f"{site.model.name} {detector}")
     return judged
 
