@@ -276,7 +276,11 @@ def with_lidars(*changes):
         ([{**one, "pole": "A"} for one in ON_POLES], {}, "[[lidar]] 2 pole: is 'A', as of"),
         ([{**ON_POLES[0], "pole": "A"}, {**TWO[1], "x_m": -8.0}], {}, "[[lidar]] 2 x_m, y_m: is [-8.0, 0.0], as of"),
         ([{**TWO[1], "x_m": -8.0}, {**ON_POLES[0], "pole": "A"}], {}, "[[lidar]] 2 pole: is 'A', as of"),
-        ([*ON_POLES, {**TWO[1], "x_m": -8.0, "name": "third"}], {}, "2 LiDARs cannot each have a pole of their own among"),
+        (
+            [*ON_POLES, {**TWO[1], "x_m": -8.0, "name": "third"}],
+            {},
+            "2 LiDARs cannot each have a pole of their own among",
+        ),
         (TWO, {"deployment": {"height_m": 3.0}}, "[deployment]: is given beside [[lidar]]"),
         (TWO, {"region": {"radius_m": None}}, "[region] radius_m: must be given with several LiDARs"),
     ],
