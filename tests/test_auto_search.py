@@ -23,7 +23,7 @@ from blender_lidar.optimise.multi_fidelity import (
     peaks,
     survivors,
 )
-from blender_lidar.run.optimise import screening
+from blender_lidar.run.searches import screening
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.fidelity import (

@@ -20,8 +20,8 @@ from blender_lidar.clouds.files import read_points
 from blender_lidar.errors import BlenderLidarError
 from blender_lidar.report.page import write_report
 from blender_lidar.run.folder import RunFolder
-from blender_lidar.run.optimise import fresh_search
 from blender_lidar.run.replay import Replay
+from blender_lidar.run.searches import fresh_search
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.traffic import Recording, plan_frames, read_traffic
 from tests import sumo_samples, traffic_samples

@@ -13,8 +13,9 @@ import pytest
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.layout_search import LayoutObjective, coordinates_of
 from blender_lidar.run.layouts import judge_layout, price_of
-from blender_lidar.run.optimise import evaluate_site, layout_search, optimise_site
+from blender_lidar.run.optimise import evaluate_site, optimise_site
 from blender_lidar.run.replay import Replay
+from blender_lidar.run.searches import layout_search
 from blender_lidar.run.tolerance import best_over_tolerance, losses_over_tolerance, objective_over
 from blender_lidar.scene.scenario import scenario_of
 from blender_lidar.scene.settings import Tolerance

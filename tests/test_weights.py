@@ -12,7 +12,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.report.summary import definitions
 from blender_lidar.report.tables import group_tables
 from blender_lidar.run.folder import RunFolder
-from blender_lidar.run.optimise import fresh_auto_search
+from blender_lidar.run.searches import fresh_auto_search
 from blender_lidar.run.verdict import map_scores
 from blender_lidar.scene.deployment import Place, SearchSpace
 from blender_lidar.scene.mounting import Mounting

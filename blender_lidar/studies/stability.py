@@ -14,7 +14,7 @@ import numpy as np
 
 from ..metrics.catalogue import METRICS, metric_named
 from ..plugins import short_name
-from ..run.optimise import fresh_search
+from ..run.searches import fresh_search
 from ..run.tolerance import JUDGED_BASE, at_limits, installation_errors, installed_layouts
 from ..scene.mounting import Layout
 from ..scene.scenario import Scenario

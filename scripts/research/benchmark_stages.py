@@ -22,7 +22,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.metrics.vgop import entropy, pe_vgop
 from blender_lidar.optimise.solve import SearchResult
 from blender_lidar.optimise.solve import run as run_search
-from blender_lidar.run.optimise import fresh_search
+from blender_lidar.run.searches import fresh_search
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scene.region import Region
 from blender_lidar.scene.scenario import Scenario, load_scenario

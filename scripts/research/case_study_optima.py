@@ -11,7 +11,7 @@ import numpy as np
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import run
 from blender_lidar.optimise.objective import vehicle_score
-from blender_lidar.run.optimise import fresh_search
+from blender_lidar.run.searches import fresh_search
 from blender_lidar.run.verdict import AXES, ScoreMap, judge, map_scores, near_best_threshold
 from blender_lidar.scene.site import Site
 from blender_lidar.scoring.evaluation import site_evaluator

@@ -25,8 +25,8 @@ from arguments import SCENES, Silent, counting, parser_of, positive, run_script
 from blender_lidar.files import check_place, write_text
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.layout_search import LayoutObjective, LayoutSearch
-from blender_lidar.run.optimise import layout_search
 from blender_lidar.run.replay import Replay
+from blender_lidar.run.searches import layout_search
 from blender_lidar.scene.mounting import Layout
 from blender_lidar.scene.scenario import scenario_of
 from blender_lidar.scene.site import Site, prepare

@@ -1,0 +1,338 @@
+"""What the searches of a run come to: of one place with its score map, over a tolerance, or of several LiDARs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import fields, replace
+from functools import partial
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from ..optimise import DePso, DePsoSettings, Hardened, Search, make_search
+from ..optimise.hardened import Polish
+from ..optimise.multi_fidelity import Asked, MultiFidelitySearch
+from ..optimise.search import joined_history
+from ..scene.deployment import MOUNTING_OR_LEAN, SearchSpace
+from ..scene.mounting import Layout
+from ..scene.scenario import Scenario
+from ..scene.settings import Tolerance
+from ..scene.site import Site
+from ..scoring.evaluation import Evaluator
+from ..scoring.fidelity import Fidelity, make_rungs
+from ..statistics import FEW_BLOCKS, FEWEST_BLOCKS, best_intervals_90, best_without_block, block_sums, of_blocks
+from .layout_search import LayoutObjective, LayoutSearch, coordinates_of, layout_history, on_same_masts
+from .replay import Listener, Replay
+from .tolerance import best_over_tolerance, objective_over
+from .verdict import (
+    AXES,
+    BASELINE_NAME,
+    NOMINAL,
+    ROBUST,
+    ScoreMap,
+    map_scores,
+    with_coordinates,
+)
+
+_BATCH = 100  # mountings of a record that are scored again together
+_EQUAL = 1e-9  # of the objective: values nearer to one another differ by rounding
+_POLISH = 60  # evaluations for each coordinate
+AUTO = "auto"  # the [search] fidelity of a search over several fidelities
+
+
+class SearchOutcome(NamedTuple):
+    """What the searches of one search space, or of a layout, have come to.
+
+    Attributes
+    ----------
+    layouts : dict of str to Layout
+        The answer, the baseline and, over a tolerance, the best that hangs as planned.
+    searches : dict of str to searches
+        Of mountings as planned and over the tolerance, one after the other.
+    histories : dict of str to (rows, variables)
+        Of both, as files have them.
+    spaces : tuple of SearchSpace or None
+        For each LiDAR what was searched, the others held; None where it was given.
+    maps : tuple of (ScoreMap, Layout) or None
+        For each LiDAR the score map and its best layout, the others held.
+    spread : dict or None
+        What several coordinates came to.
+    polished : set of int
+        For which LiDARs a point of their map is where the answer was found.
+    without_block : sequence of Layout, b, or None
+        The best without each searched block, where too little is held out.
+    steps : sequence of Layout
+        The layout with each number of its LiDARs.
+    """
+
+    layouts: Mapping[str, Layout]
+    searches: Mapping[str, Sequence[Search | MultiFidelitySearch]]
+    histories: Mapping[str, tuple[np.ndarray, Sequence[str]]] = MappingProxyType({})
+    spaces: tuple[SearchSpace | None, ...] = (None,)
+    maps: tuple[tuple[ScoreMap, Layout] | None, ...] = (None,)
+    spread: Mapping | None = None
+    polished: AbstractSet[int] = frozenset()
+    without_block: Sequence[Layout] | None = None
+    steps: Sequence[Layout] = ()
+
+
+def search_place(
+    site: Site, space: SearchSpace, evaluator: Evaluator, replay: Replay, listener: Listener
+) -> SearchOutcome:
+    """Search the best layout of a search space."""
+    scenario, label = site.scenario, space.places[0].label
+    tolerance, score_map = scenario.objective.tolerance, None
+    objective, first = _SearchedObjective(site, space, evaluator), scenario.search.seed
+    seeds = [_seeded(site, space, seed) for seed in range(first, first + scenario.search.seeds)]
+    for search in seeds:
+        replay.carry_out(search, objective, listener)
+    best = max(seeds, key=lambda search: search.best_value)  # the first of equals
+    if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
+        plan, progress = site.plan, listener.mapping
+        recording = plan.search_recording
+        score_map = map_scores(evaluator, space, best.best_x, plan.search_block, progress, recording=recording)
+    polish = _polish(site, space, score_map, best, label)
+    if polish is not None:
+        replay.carry_out(polish, objective, listener)
+    searches = {NOMINAL: [*seeds, *([] if polish is None else [polish])]}
+    polished = polish is not None and polish.best_value > best.best_value
+    answer = (polish if polished else best).best_x
+    sharp = space.layout(answer)
+    layouts = {"optimised": sharp, BASELINE_NAME: (scenario.baseline,)}
+    spread = without_block = None
+    if _cross_fits(site):
+        tried, sums = objective.by_block(searches[NOMINAL])
+        without_block = [space.layout(tried[row]) for row in best_without_block(sums)]
+    if len(space.variables) > len(AXES) and scenario.search.fidelity != AUTO:
+        spread = _spread(site, space, seeds, objective.by_block(searches[NOMINAL]), evaluator.weight, answer)
+    if tolerance is not None:
+        robust = fresh_search(scenario, space)
+        robust.label = "search over the tolerance"
+        replay.carry_out(robust, objective.over_tolerance, listener)
+        plans = [space.layout(robust.best_x), sharp]
+        layouts["optimised"] = best_over_tolerance(evaluator, plans, tolerance)
+        layouts[NOMINAL], searches[ROBUST] = sharp, [robust]
+    on_map = None if score_map is None else (score_map, space.layout(_on_map(space, score_map, best.best_x)))
+    histories = {
+        name: (joined_history([search.history for search in parts]), space.variables)
+        for name, parts in searches.items()
+    }
+    return SearchOutcome(
+        layouts, searches, histories, (space,), (on_map,), spread, {0} if polished else set(), without_block
+    )
+
+
+def search_layout(site: Site, evaluator: Evaluator, replay: Replay, listener: Listener) -> SearchOutcome:
+    """Search the best layout of several LiDARs."""
+    scenario, _plan = site.scenario, site.plan
+    use, tolerance, objective = scenario.search, scenario.objective.tolerance, LayoutObjective(site, evaluator)
+    found = layout_search(site, objective, replay, listener)
+    found.run()
+    polished = set()
+    maps = [_map_of(site, evaluator, found, number, listener) for number in range(len(found.places))]
+    for number, on_map in enumerate(maps):
+        if on_map is None:
+            continue
+        best = float(on_map[0].block_objective.sum(axis=-1).max())
+        if best > found.value + _EQUAL * abs(found.value):
+            space = found.space(number)
+            start = _on_map(space, on_map[0], found.point(number))
+            if found.accept(space, found.polish(space, start, f"{scenario.lidars[number].name}, polish")):
+                polished.add(number)
+    if polished:  # the others hang elsewhere now than when the maps were made
+        maps = [_map_of(site, evaluator, found, number, listener) for number in range(len(found.places))]
+    spaces = [None if place is None else found.space(number) for number, place in enumerate(found.places)]
+    sharp, searches = tuple(found.layout), {NOMINAL: [search for _, search in found.searches]}
+    layouts = {"optimised": sharp, BASELINE_NAME: scenario.baselines}
+    histories = {NOMINAL: layout_history(found)}
+    steps = [*found.steps[:-1], sharp]
+    free = [number for number, place in enumerate(found.places) if place is not None and place.bounds]
+    joint, without_block, spread = found.space(*free), None, None
+    tried, sums = objective.tried(found.searches)
+    if _cross_fits(site) and tried:
+        without_block = [tried[row] for row in best_without_block(sums)]
+    alike = [row for row, one in enumerate(tried) if on_same_masts(one, sharp, joint)]
+    if free and alike:
+        at = found.point(*free)
+        spread = _spread(
+            site, joint, [], (coordinates_of(joint, [tried[row] for row in alike]), sums[alike]), evaluator.weight, at
+        )
+    if tolerance is not None and free:
+        robust = Polish(
+            joint.lower,
+            joint.upper,
+            start=np.array(found.point(*free)),
+            seed=use.seed,
+            evaluations=min(_POLISH * len(joint.lower), use.particles * use.iterations),
+            periodic=joint.periodic,
+        )
+        robust.label, robust.variables = "search over the tolerance", joint.variables
+        replay.carry_out(robust, partial(_over_tolerance, evaluator, joint, tolerance), listener)
+        layouts["optimised"] = best_over_tolerance(evaluator, [joint.layout(robust.best_x), sharp], tolerance)
+        layouts[NOMINAL], searches[ROBUST] = sharp, [robust]
+        histories[ROBUST] = robust.history, joint.variables
+    return SearchOutcome(
+        layouts, searches, histories, tuple(spaces), tuple(maps), spread, polished, without_block, tuple(steps)
+    )
+
+
+def _map_of(
+    site: Site, evaluator: Evaluator, found: LayoutSearch, number: int, listener: Listener
+) -> tuple[ScoreMap, Layout] | None:
+    """The score map of one LiDAR, the others held where they hang, and its best layout; None where it has none."""
+    place, plan = found.places[number], site.plan
+    if place is None or not place.bounds:
+        return None
+    space, point = found.space(number), found.point(number)
+    progress, of = listener.mapping, plan.search_recording
+    score_map = map_scores(evaluator, space, point, plan.search_block, progress, recording=of)
+    return None if score_map is None else (score_map, space.layout(_on_map(space, score_map, point)))
+
+
+def layout_search(site: Site, objective: LayoutObjective, replay: Replay, listener: Listener) -> LayoutSearch:
+    """The search of a scene's layout, before it is carried out: each LiDAR by the scene's own method."""
+    scenario, use = site.scenario, site.scenario.search
+
+    def make(space: SearchSpace, budget: int, seed: int) -> Search:
+        return fresh_search(replace(scenario, search=replace(use, seed=seed)), space, budget)
+
+    return LayoutSearch(site, objective, replay, listener, make, use.particles * use.iterations)
+
+
+def _over_tolerance(evaluator: Evaluator, space: SearchSpace, tolerance: Tolerance, x: np.ndarray) -> np.ndarray:
+    """The objective over a tolerance at points of a space, (s,)."""
+    return objective_over(evaluator, [space.layout(row) for row in x], tolerance)
+
+
+def _cross_fits(site: Site) -> bool:
+    """Whether too few blocks of time are held out, and those searched can judge as well."""
+    scenario, plan = site.scenario, site.plan
+    held_out = {int(one) for one, frame in zip(plan.holdout_block, site.holdout, strict=True) if frame.counted.any()}
+    poles = any(len(lidar.deployment.places) > 1 for lidar in scenario.lidars)
+    able = scenario.objective.tolerance is None and not poles and scenario.search.fidelity != AUTO
+    return able and len(held_out) < FEW_BLOCKS and len(np.unique(plan.search_block)) >= FEWEST_BLOCKS
+
+
+def _on_map(space: SearchSpace, score_map: ScoreMap, x: Sequence[float]) -> list[float]:
+    """The best point of a score map, through a point `x` (d,) that fixes what the map does not span."""
+    return with_coordinates(space, x, **dict(zip(score_map.axes, score_map.best, strict=False)))
+
+
+def fresh_search(scenario: Scenario, space: SearchSpace, evaluations: int | None = None) -> Search:
+    """The search that a scene asks for, before its first evaluation; with another budget where one is given."""
+    use = scenario.search
+    settings: dict[str, object] = {}
+    if use.method == DePso.name:
+        own = {field.name for field in fields(DePsoSettings)} - {"iterations", "reading"}
+        settings = {key: getattr(use, key) for key in own} | {"reading": scenario.objective.reading}
+    elif use.method == Hardened.name:
+        settings = {"particles": use.particles}
+    settings |= {"seed": use.seed, "evaluations": evaluations or use.particles * use.iterations}
+    return make_search(use.method, space.lower, space.upper, periodic=space.periodic, **settings)
+
+
+def fresh_auto_search(site: Site, space: SearchSpace) -> MultiFidelitySearch:
+    """The search of `[search] fidelity = "auto"`, before its first evaluation: the scene's own method screens."""
+    use, block, variables = site.scenario.search, site.plan.search_block, len(space.variables)
+    screened = min(use.particles * use.iterations, max(screening(variables), use.particles, 2**variables))
+    weight = [float(frame.counted_weight.sum()) for frame in site.search]
+    rungs = make_rungs(site.observation, block, weight, variables)
+    screen = fresh_search(site.scenario, space, screened)
+    return MultiFidelitySearch(screen, rungs, block, seed=use.seed)
+
+
+def screening(variables: int) -> int:
+    """Evaluations on the cheapest rung before halving begins."""
+    return 20 + 40 * variables
+
+
+class _SearchedObjective:
+    """The objective of mountings on the searched frames, and of those scored as planned the sums over each block."""
+
+    def __init__(self, site: Site, space: SearchSpace, evaluator: Evaluator) -> None:
+        self._site, self._space, self._evaluator = site, space, evaluator
+        self._blocks: dict[bytes, np.ndarray] = {}
+
+    def __call__(self, asked: np.ndarray | Asked) -> np.ndarray:
+        """Of mountings as planned: (s,), or (s, frames) where a search over several fidelities asks."""
+        if isinstance(asked, Asked):
+            fidelity = None if asked.fidelity == Fidelity(self._site.observation.detail) else asked.fidelity
+            layouts = [self._space.layout(row) for row in asked.x]
+            return self._evaluator.totals(layouts, asked.frames, fidelity).objective
+        objective = self._evaluator.totals([self._space.layout(row) for row in asked]).objective
+        blocks = block_sums(objective, self._site.plan.search_block)
+        self._blocks |= {row.tobytes(): sums for row, sums in zip(asked, blocks, strict=True)}
+        return objective.sum(axis=1)
+
+    def over_tolerance(self, x: np.ndarray) -> np.ndarray:
+        """Over the scene's tolerance, (s,)."""
+        return _over_tolerance(self._evaluator, self._space, self._site.scenario.objective.tolerance, x)
+
+    def by_block(self, searches: Sequence[Search]) -> tuple[np.ndarray, np.ndarray]:
+        """All mountings that were tried, (n, d), and their objective in each block, (n, b)."""
+        x = np.concatenate([search.history[:, 3:-2] for search in searches])
+        # Those of a run that this one goes on with.
+        unknown = np.array([row.tobytes() not in self._blocks for row in x])
+        for start in range(0, int(unknown.sum()), _BATCH):
+            self(x[unknown][start : start + _BATCH])
+        return x, np.array([self._blocks[row.tobytes()] for row in x])
+
+
+def _seeded(site: Site, space: SearchSpace, seed: int) -> Search | MultiFidelitySearch:
+    """The search of a seed, before its first evaluation."""
+    use, label = site.scenario.search, space.places[0].label
+    scenario = replace(site.scenario, search=replace(use, seed=seed))
+    search = fresh_auto_search(site, space) if use.fidelity == AUTO else fresh_search(scenario, space)
+    if use.seeds > 1 or label:
+        search.label = ", ".join(filter(None, [label, f"seed {seed}" if use.seeds > 1 else ""]))
+        search.variables = tuple(MOUNTING_OR_LEAN[key].option.removeprefix("--") for key in space.variables)
+    return search
+
+
+def _polish(
+    site: Site, space: SearchSpace, score_map: ScoreMap | None, search: Search | MultiFidelitySearch, label: str
+) -> Polish | None:
+    """The local search from a point of the map that beats what the hardened search has found; None without one."""
+    use = site.scenario.search
+    if score_map is None or use.method != Hardened.name:
+        return None
+    reached = float(score_map.block_objective.sum(axis=-1).max())
+    if reached - search.best_value <= _EQUAL * abs(reached):
+        return None
+    start = np.array(_on_map(space, score_map, search.best_x.tolist()))
+    budget = min(_POLISH * len(start), use.particles * use.iterations)
+    polish = Polish(space.lower, space.upper, start=start, seed=use.seed, evaluations=budget, periodic=space.periodic)
+    polish.label, polish.variables = ", ".join(filter(None, [label, polish.label])), search.variables
+    return polish
+
+
+def _spread(
+    site: Site,
+    space: SearchSpace,
+    seeds: Sequence[Search],
+    tried: tuple[np.ndarray, np.ndarray],
+    weight: np.ndarray,
+    answer: np.ndarray,
+) -> dict:
+    """How far apart the answers of several seeds lie, and between what coordinates other traffic would put the best."""
+    answers = [
+        {
+            "seed": site.scenario.search.seed + number,
+            "deployment": space.layout(search.best_x)[0].as_table(),
+            "objective_per_vehicle": search.best_value / float(weight.sum()),
+        }
+        for number, search in enumerate(seeds)
+    ]
+    plan, seed = site.plan, site.scenario.search.seed
+    weights, strata = block_sums(weight, plan.search_block), of_blocks(plan.search_recording, plan.search_block)
+    intervals = best_intervals_90(*tried, weights, answer, space.periodic, seed, strata)
+    return {
+        "searched": list(space.variables),
+        "seeds": answers,
+        "mountings": len(tried[0]),
+        "optimum_interval_90": None
+        if intervals is None
+        else {key: list(pair) for key, pair in zip(space.variables, intervals, strict=True)},
+    }
