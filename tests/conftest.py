@@ -61,3 +61,20 @@ def site(tmp_path_factory):
     from tests.small_scene import MAPPED, write_scene
 
     return prepare(load_scenario(write_scene(tmp_path_factory.mktemp("site"), MAPPED)))
+
+
+@pytest.fixture
+def registered_addon(quick, tmp_path_factory, monkeypatch):
+    """The add-on in a new file; the processes that it starts draw no charts."""
+    import bpy
+
+    from blender_lidar import addon
+
+    folder = tmp_path_factory.mktemp("no_charts")
+    (folder / "matplotlib.py").write_text("raise ImportError('not in this Python')\n")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
+    bpy.ops.wm.read_homefile(use_empty=True)
+    addon.register()
+    yield
+    addon.unregister()
+    bpy.ops.wm.read_homefile(use_empty=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_lidar import addon
 from blender_lidar.addon import live, optimising, properties, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.mounting import COORDINATES
@@ -25,18 +23,7 @@ from tests.test_heights import SLOPE
 from tests.test_heights import scene as height_scene
 from tests.test_sides import scene as two_way
 
-
-@pytest.fixture(autouse=True)
-def registered(quick, tmp_path_factory, monkeypatch):
-    """The add-on in a new file; the processes that it starts draw no charts either."""
-    folder = tmp_path_factory.mktemp("no_charts")
-    (folder / "matplotlib.py").write_text("raise ImportError('not in this Python')\n")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
-    bpy.ops.wm.read_homefile(use_empty=True)
-    addon.register()
-    yield
-    addon.unregister()
-    bpy.ops.wm.read_homefile(use_empty=True)
+pytestmark = pytest.mark.usefixtures("registered_addon")
 
 
 def loaded(path: Path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +11,6 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_lidar import addon
 from blender_lidar.addon import live, optimising, panels, properties, session
 from blender_lidar.clouds.live import LiveFrame
 from blender_lidar.run.folder import RunFolder
@@ -40,17 +38,7 @@ def write_layout(folder: Path, *more: dict, hung=(SOUTH, NORTH), **changes: dict
     return path
 
 
-@pytest.fixture(autouse=True)
-def registered(quick, tmp_path_factory, monkeypatch):
-    """The add-on in a new file; the processes that it starts draw no charts."""
-    folder = tmp_path_factory.mktemp("no_charts")
-    (folder / "matplotlib.py").write_text("raise ImportError('not in this Python')\n")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")]))
-    bpy.ops.wm.read_homefile(use_empty=True)
-    addon.register()
-    yield
-    addon.unregister()
-    bpy.ops.wm.read_homefile(use_empty=True)
+pytestmark = pytest.mark.usefixtures("registered_addon")
 
 
 def loaded(path: Path) -> dict[str, object]:

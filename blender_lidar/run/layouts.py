@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..scene.mounting import Layout, Mounting
+from ..scene.mounting import Layout
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from .tolerance import judged_rows
@@ -129,13 +129,6 @@ def price_of(site: Site, layout: Layout) -> float | None:
             continue
         if lidar.sensor.price is None:
             return None
-        pole = pole_under(site, lidar.name, mounting)
+        pole = lidar.deployment.pole_at(mounting.xy)
         total += lidar.sensor.price + (pole.cost or 0.0 if pole else 0.0)
     return total
-
-
-def pole_under(site: Site, name: str, mounting: Mounting):
-    """The candidate pole on which a LiDAR of that name hangs, None where it is on none."""
-    lidar = next(one for one in site.scenario.lidars if one.name == name)
-    poles = {(pole.x_m, pole.y_m): pole for pole in lidar.deployment.poles}
-    return poles.get(mounting.xy)

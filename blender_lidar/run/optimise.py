@@ -24,7 +24,7 @@ from ..traffic.frames import NOTHING_HELD_OUT
 from .approach_files import write_approaches
 from .assumptions import assumptions, site_name
 from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, RunFolder
-from .layouts import judge_layout, pole_under
+from .layouts import judge_layout
 from .replay import Listener, Replay
 from .searches import SearchOutcome, search_layout, search_place
 from .tolerance import JUDGED_BASE, SEARCHED_BASE
@@ -288,7 +288,7 @@ def _lidar_rows(site: Site, evaluator: Evaluator, found: SearchOutcome, verdict:
             "next_metre": None if space is None else next_metre(site, evaluator, space, layout),
         }
         if len(layout) > 1:
-            row["pole"] = _pole_row(pole_under(site, name, mounting))
+            row["pole"] = _pole_row(one.scenario.deployment.pole_at(mounting.xy))
             row["baseline"] = baseline.as_table()
         rows.append(row)
     return rows

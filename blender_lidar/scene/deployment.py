@@ -363,6 +363,10 @@ class Deployment:
             raise unknown_name(name, poles, "pole", where)
         return poles[name]
 
+    def pole_at(self, xy: Sequence[float]) -> Pole | None:
+        """The candidate pole that stands at a place [m]; None where none does."""
+        return next((pole for pole in self.poles if (pole.x_m, pole.y_m) == tuple(xy)), None)
+
     def on_pole(self, pole: Pole) -> Deployment:
         """The same with that pole as its one place."""
         place = self.at(pole)

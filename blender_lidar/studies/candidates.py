@@ -160,17 +160,19 @@ def at_one_place(scenario: Scenario, pole: str | None = None, layout: Layout | N
         raise InputError(f"--pole: is of one LiDAR, but the scene has {len(scenario.lidars)}; allowed: --run DIR")
     placed = []
     for one, mounting in zip(scenario.each, layout or (None,) * len(scenario.lidars), strict=True):
-        poles = {each.name: each for each in one.deployment.poles}
-        found = [each for each in poles.values() if mounting and (each.x_m, each.y_m) == mounting.xy]
+        poles = one.deployment.poles
+        found = one.deployment.pole_at(mounting.xy) if mounting else None
         if pole is not None:
-            found = [one.deployment.pole_named(pole)]
+            found = one.deployment.pole_named(pole)
         elif one.lidar_name and len(poles) == 1:
-            found = [*poles.values()]
-        if poles and not found:
+            found = poles[0]
+        if poles and found is None:
             asked = "one place of each LiDAR, --run DIR or for stability --lidar NAME,pole=NAME"
             asked = asked if scenario.further_lidars else "one place, --pole NAME"
             where = one.where("deployment", "poles")
-            raise InputError(f"{where}: are for optimise; a study is about {asked}: {', '.join(poles)}")
-        placed.append(one.deployment.on_pole(found[0]) if found else one.deployment)
+            raise InputError(
+                f"{where}: are for optimise; a study is about {asked}: {', '.join(each.name for each in poles)}"
+            )
+        placed.append(one.deployment.on_pole(found) if found else one.deployment)
     others = [replace(lidar, deployment=at) for lidar, at in zip(scenario.further_lidars, placed[1:], strict=True)]
     return replace(scenario, deployment=placed[0], further_lidars=tuple(others))
