@@ -16,12 +16,14 @@ import numpy as np
 
 from ..optimise import Search
 from ..optimise.hardened import Polish
+from ..optimise.multi_fidelity import Asked
 from ..scene.deployment import Place, SearchSpace, variable_of
 from ..scene.lidars import free_places
 from ..scene.mounting import Layout, Mounting
 from ..scene.scenario import LEAST_BUDGET
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
+from ..scoring.fidelity import Fidelity
 from ..statistics import block_sums
 from .replay import Listener, Replay
 
@@ -58,9 +60,12 @@ class LayoutObjective:
         self.by_block |= {one: sums for one, sums in zip(layouts, blocks, strict=True) if None not in one}
         return objective.sum(axis=1)
 
-    def of_points(self, space: SearchSpace, x: np.ndarray) -> np.ndarray:
-        """Of points of a search space, (s,)."""
-        return self.of_layouts([space.layout(row) for row in x])
+    def of_points(self, space: SearchSpace, asked: np.ndarray | Asked) -> np.ndarray:
+        """Of points of a search space: (s,), or (s, frames) where a search over several fidelities asks."""
+        if not isinstance(asked, Asked):
+            return self.of_layouts([space.layout(row) for row in asked])
+        fidelity = None if asked.fidelity == Fidelity(self._site.observation.detail) else asked.fidelity
+        return self._evaluator.totals([space.layout(row) for row in asked.x], asked.frames, fidelity).objective
 
     def tried(self, searches: Sequence[tuple[SearchSpace, Search | _Tried]]) -> tuple[list[Layout], np.ndarray]:
         """All complete layouts that searches have tried, and their objective in each block, (n, b)."""

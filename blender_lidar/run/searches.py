@@ -13,7 +13,7 @@ import numpy as np
 
 from ..optimise import DePso, DePsoSettings, Hardened, Search, make_search
 from ..optimise.hardened import Polish
-from ..optimise.multi_fidelity import Asked, MultiFidelitySearch
+from ..optimise.multi_fidelity import MultiFidelitySearch
 from ..optimise.search import joined_history
 from ..scene.deployment import MOUNTING_OR_LEAN, SearchSpace
 from ..scene.mounting import Layout
@@ -21,7 +21,7 @@ from ..scene.scenario import Scenario
 from ..scene.settings import Tolerance
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
-from ..scoring.fidelity import Fidelity, make_rungs
+from ..scoring.fidelity import make_rungs
 from ..statistics import FEW_BLOCKS, FEWEST_BLOCKS, best_intervals_90, best_without_block, block_sums, of_blocks
 from .layout_search import LayoutObjective, LayoutSearch, coordinates_of, layout_history, on_same_masts
 from .replay import Listener, Replay
@@ -36,7 +36,6 @@ from .verdict import (
     with_coordinates,
 )
 
-_BATCH = 100  # mountings of a record that are scored again together
 _EQUAL = 1e-9  # of the objective: values nearer to one another differ by rounding
 _POLISH = 60  # evaluations for each coordinate
 AUTO = "auto"  # the [search] fidelity of a search over several fidelities
@@ -84,10 +83,11 @@ def search_place(
     """Search the best layout of a search space."""
     scenario, label = site.scenario, space.places[0].label
     tolerance, score_map = scenario.objective.tolerance, None
-    objective, first = _SearchedObjective(site, space, evaluator), scenario.search.seed
+    objective, first = LayoutObjective(site, evaluator), scenario.search.seed
+    score = partial(objective.of_points, space)
     seeds = [_seeded(site, space, seed) for seed in range(first, first + scenario.search.seeds)]
     for search in seeds:
-        replay.carry_out(search, objective, listener)
+        replay.carry_out(search, score, listener)
     best = max(seeds, key=lambda search: search.best_value)  # the first of equals
     if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
         plan, progress = site.plan, listener.mapping
@@ -95,22 +95,25 @@ def search_place(
         score_map = map_scores(evaluator, space, best.best_x, plan.search_block, progress, recording=recording)
     polish = _polish(site, space, score_map, best, label)
     if polish is not None:
-        replay.carry_out(polish, objective, listener)
+        replay.carry_out(polish, score, listener)
     searches = {NOMINAL: [*seeds, *([] if polish is None else [polish])]}
     polished = polish is not None and polish.best_value > best.best_value
     answer = (polish if polished else best).best_x
     sharp = space.layout(answer)
     layouts = {"optimised": sharp, BASELINE_NAME: (scenario.baseline,)}
     spread = without_block = None
+    spreads = len(space.variables) > len(AXES) and scenario.search.fidelity != AUTO
+    if spreads or _cross_fits(site):
+        tried, sums = objective.tried([(space, search) for search in searches[NOMINAL]])
     if _cross_fits(site):
-        tried, sums = objective.by_block(searches[NOMINAL])
-        without_block = [space.layout(tried[row]) for row in best_without_block(sums)]
-    if len(space.variables) > len(AXES) and scenario.search.fidelity != AUTO:
-        spread = _spread(site, space, seeds, objective.by_block(searches[NOMINAL]), evaluator.weight, answer)
+        without_block = [tried[row] for row in best_without_block(sums)]
+    if spreads:
+        x = np.concatenate([search.history[:, 3:-2] for search in searches[NOMINAL]])
+        spread = _spread(site, space, seeds, (x, sums), evaluator.weight, answer)
     if tolerance is not None:
         robust = fresh_search(scenario, space)
         robust.label = "search over the tolerance"
-        replay.carry_out(robust, objective.over_tolerance, listener)
+        replay.carry_out(robust, partial(_over_tolerance, evaluator, space, tolerance), listener)
         plans = [space.layout(robust.best_x), sharp]
         layouts["optimised"] = best_over_tolerance(evaluator, plans, tolerance)
         layouts[NOMINAL], searches[ROBUST] = sharp, [robust]
@@ -246,38 +249,6 @@ def fresh_auto_search(site: Site, space: SearchSpace) -> MultiFidelitySearch:
 def screening(variables: int) -> int:
     """Evaluations on the cheapest rung before halving begins."""
     return 20 + 40 * variables
-
-
-class _SearchedObjective:
-    """The objective of mountings on the searched frames, and of those scored as planned the sums over each block."""
-
-    def __init__(self, site: Site, space: SearchSpace, evaluator: Evaluator) -> None:
-        self._site, self._space, self._evaluator = site, space, evaluator
-        self._blocks: dict[bytes, np.ndarray] = {}
-
-    def __call__(self, asked: np.ndarray | Asked) -> np.ndarray:
-        """Of mountings as planned: (s,), or (s, frames) where a search over several fidelities asks."""
-        if isinstance(asked, Asked):
-            fidelity = None if asked.fidelity == Fidelity(self._site.observation.detail) else asked.fidelity
-            layouts = [self._space.layout(row) for row in asked.x]
-            return self._evaluator.totals(layouts, asked.frames, fidelity).objective
-        objective = self._evaluator.totals([self._space.layout(row) for row in asked]).objective
-        blocks = block_sums(objective, self._site.plan.search_block)
-        self._blocks |= {row.tobytes(): sums for row, sums in zip(asked, blocks, strict=True)}
-        return objective.sum(axis=1)
-
-    def over_tolerance(self, x: np.ndarray) -> np.ndarray:
-        """Over the scene's tolerance, (s,)."""
-        return _over_tolerance(self._evaluator, self._space, self._site.scenario.objective.tolerance, x)
-
-    def by_block(self, searches: Sequence[Search]) -> tuple[np.ndarray, np.ndarray]:
-        """All mountings that were tried, (n, d), and their objective in each block, (n, b)."""
-        x = np.concatenate([search.history[:, 3:-2] for search in searches])
-        # Those of a run that this one goes on with.
-        unknown = np.array([row.tobytes() not in self._blocks for row in x])
-        for start in range(0, int(unknown.sum()), _BATCH):
-            self(x[unknown][start : start + _BATCH])
-        return x, np.array([self._blocks[row.tobytes()] for row in x])
 
 
 def _seeded(site: Site, space: SearchSpace, seed: int) -> Search | MultiFidelitySearch:
