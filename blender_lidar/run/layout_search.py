@@ -20,7 +20,7 @@ from ..optimise.multi_fidelity import Asked
 from ..scene.deployment import Place, SearchSpace, variable_of
 from ..scene.lidars import free_places
 from ..scene.mounting import Layout, Mounting
-from ..scene.scenario import LEAST_BUDGET
+from ..scene.scene_tables import LEAST_BUDGET
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.fidelity import Fidelity
