@@ -26,6 +26,7 @@ TABLE_OF = {
     "RS-LiDAR-32": ("rs32", True, 1.0),
     "RS-80": ("rs_ruby_lite80", True, 1.0),
     "RS-Ruby-80V": ("rs_ruby80v", True, 1.0),
+    "RS-Ruby-Lite-V2R": ("rs_ruby_lite80_v2r", True, 1.0),
     "RS-Ruby-128": ("rs_ruby128", True, 1.0),
     "RS-Helios-5515": ("rs_helios_5515", True, 1.0),
     "RS-BPearl": ("rs_bpearl", True, 1.0),
@@ -223,9 +224,10 @@ def test_rs_80_is_the_ruby_lite_and_the_80v_looks_almost_only_down():
     assert dense.size == 41
 
 
-def test_every_beam_of_the_ruby_lite_is_one_of_the_ruby_128():
-    of_128 = {(round(e, 4), round(a, 4)) for e, a in _angles("RS-Ruby-128")}
-    assert {(round(e, 4), round(a, 4)) for e, a in _angles("RS-80")} <= of_128
+def test_every_beam_of_the_ruby_lites_is_one_of_the_ruby_128_and_the_v2r_has_its_lowest():
+    of_128 = [(round(e, 4), round(a, 4)) for e, a in _angles("RS-Ruby-128")]
+    assert {(round(e, 4), round(a, 4)) for e, a in _angles("RS-80")} <= {*of_128}
+    assert [(round(e, 4), round(a, 4)) for e, a in _angles("RS-Ruby-Lite-V2R")] == of_128[:80]
 
 
 def _angles(name: str) -> np.ndarray:
