@@ -1,0 +1,304 @@
+"""Commissioning: what recorded clouds of a LiDAR that hangs at a road say of its sensor, its mounting and its unit.
+
+From one revolution, or from several of one mounting: then what each beam usually meets, the background, is taken, and
+the spread of the single revolutions is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..sensors.identify import (
+    Identified,
+    elevations,
+    identify_sensor,
+    lens_offset,
+    nearest_ring,
+    offsets_misfit,
+)
+from ..sensors.model import LidarModel
+from .road_fit import FEWEST_POINTS, RoadFit, fit_road
+
+_NO_METRES_M = 1500.0  # median range of a cloud that is not in metres
+_HEIGHTS_M = np.arange(0.5, 25.0, 0.1)  # of a sensor in a cloud that is in the road's frame
+_OFF_TURN_RAD = math.radians(1.0)  # azimuths of columns so far from a table's are not of it
+_FEWEST_CLOUDS = 3  # of which a background is taken
+_STILL_M, _STILL_BY_RANGE = 0.15, 0.005  # how far the ranges of a beam may differ if what it meets stands still
+_HIGH_M, _FEWEST_HIGH, _MOVES = 2.5, 100, 0.25  # points above vehicles; least share of them that must stand still
+_SECTOR_DEG, _BLIND_DEG, _GROUND_M = 1, 4, 30.0
+_DEAD = 0.05  # of the returns of the rings beside it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Commissioned:
+    """What clouds say.
+
+    Attributes
+    ----------
+    model : LidarModel
+        The sensor, named by the cloud or given.
+    identified : Identified
+        What the elevations say, whatever was given.
+    lens_m : float
+        How far the optical centre lies off the axis, towards where the beams look [m].
+    points : ndarray, (n, 3)
+        The background, or the one cloud, in the sensor's frame [m].
+    ring : ndarray of int, (n,)
+    fit : RoadFit
+        Of these points.
+    each : tuple of RoadFit
+        Of single clouds, where there are several.
+    blind_deg : tuple of (float, float)
+        Sectors of azimuth, clockwise from the sensor's +y, in which nothing returned though the road lies there.
+    dead_rings : tuple of int
+        Rings that return next to nothing though those beside them do.
+    """
+
+    model: LidarModel
+    identified: Identified
+    lens_m: float
+    points: np.ndarray
+    ring: np.ndarray
+    fit: RoadFit
+    each: tuple[RoadFit, ...]
+    blind_deg: tuple[tuple[float, float], ...]
+    dead_rings: tuple[int, ...]
+
+    @property
+    def unit_rad(self) -> np.ndarray:
+        """Elevations of this unit's rings (r,) [rad]: the table's, corrected where a ring saw enough of the road."""
+        return self.model.elevation_rad - np.where(np.isfinite(self.fit.ring_sd_rad), self.fit.ring_error_rad, 0.0)
+
+
+def commission(
+    clouds: Sequence[np.ndarray],
+    names: Sequence[str],
+    given: LidarModel | None = None,
+    grid: np.ndarray | None = None,
+    facing: float | None = None,
+    report: Callable[[], None] = lambda: None,
+) -> Commissioned:
+    """Sensor, mounting and unit of a LiDAR by its clouds.
+
+    Parameters
+    ----------
+    clouds : sequence of ndarray, (n, 3)
+        Of one mounting, in the sensor's frame: x right, y ahead, z up its axis [m].
+    names : sequence of str
+        Of the clouds, for messages.
+    given : LidarModel, optional
+        The sensor, where it is known.
+    grid : ndarray, (columns, channels, 3), optional
+        The first cloud, where it is organised; NaN where nothing returned.
+    facing : float, optional
+        The planned yaw [rad].
+    report : callable
+        Called after each cloud.
+
+    Raises
+    ------
+    InputError
+        Naming the cloud and what is wrong with it: too few points, other units, another frame, a mirrored axis, points
+        of several sensors or of one that moves, no road.
+    """
+    for name, points in zip(names, clouds, strict=True):
+        _check_metres(name, points)
+    model, identified = _sensor(names[0], clouds[0], given, grid)
+    lens_m = lens_offset(clouds[0], model)
+    rings = [nearest_ring(elevations(points, lens_m), model.elevation_rad) for points in clouds]
+    each = []
+    for name, points, ring in zip(names, clouds, rings, strict=True):
+        each.append(_named(name, fit_road, points, ring, model.rings, facing))
+        report()
+    points, ring, fit = clouds[0], rings[0], each[0]
+    if len(clouds) >= _FEWEST_CLOUDS:
+        points, ring = _background(clouds, rings, model, each, names)
+        fit = _named("the background", fit_road, points, ring, model.rings, facing, clouds)
+    return Commissioned(
+        model=model,
+        identified=identified,
+        lens_m=lens_m,
+        points=points,
+        ring=ring,
+        fit=fit,
+        each=tuple(each) if len(each) > 1 else (),
+        blind_deg=_blind_sectors(np.concatenate(clouds), model, fit),
+        dead_rings=_dead_rings(np.concatenate(rings), model.rings),
+    )
+
+
+def _named(name: str, what: Callable, *given: object):
+    """What a function gives; its errors name the cloud."""
+    try:
+        return what(*given)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+
+
+# --- The sensor -------------------------------------------------------------------------------------------------------
+
+
+def _check_metres(name: str, points: np.ndarray) -> None:
+    if len(points) < FEWEST_POINTS:
+        raise InputError(f"{name}: {len(points)} points; allowed: {FEWEST_POINTS} or more")
+    usual = float(np.median(np.linalg.norm(points, axis=1)))
+    if usual > _NO_METRES_M:
+        raise InputError(
+            f"{name}: half of its points are farther than {usual:,.0f}; allowed: metres (are these millimetres?)"
+        )
+    if usual < 0.5:
+        raise InputError(f"{name}: half of its points are nearer than {usual:.3g}; allowed: metres")
+
+
+def _sensor(
+    name: str, points: np.ndarray, given: LidarModel | None, grid: np.ndarray | None
+) -> tuple[LidarModel, Identified]:
+    """The sensor of a cloud, and what its elevations say; without an answer, why."""
+    identified = identify_sensor(elevations(points))
+    if given is not None:
+        own = identify_sensor(elevations(points), [given])
+        if not own.matches:
+            also = f"; its points are on those of {identified.matches[0].model.name}" if identified.matches else ""
+            raise InputError(
+                f"{name}: {100.0 * own.nearest.on_rings:.0f} % of its points are on the rings of {given.name}, where "
+                f"chance gives 50 %; allowed: a cloud of that sensor in its own frame{also}"
+            )
+        model, matches = given, own.matches
+    elif identified.matches:
+        matches = identified.matches
+        if grid is not None:
+            matches = _by_columns(name, matches, grid)
+        model = matches[0].model
+        identified = identified._replace(matches=matches)
+    else:
+        raise InputError(f"{name}: {_why_none(points, identified)}")
+    if grid is not None and given is not None:
+        _by_columns(name, matches, grid)
+    return model, identified
+
+
+def _by_columns(name: str, matches: Sequence, grid: np.ndarray) -> tuple:
+    """The matches whose number of rings and azimuth offsets fit an organised cloud, the best first."""
+    channels = grid.shape[1]
+    counted = [one for one in matches if one.model.rings == channels] or list(matches)
+    apart = [offsets_misfit(grid, one.model) for one in counted]
+    other = [offsets_misfit(grid, one.model, mirrored=True) for one in counted]
+    if min(other) < min(0.5 * min(apart), _OFF_TURN_RAD) and min(apart) > _OFF_TURN_RAD:
+        raise InputError(
+            f"{name}: its columns turn against the azimuth offsets of {counted[int(np.argmin(other))].model.name}; "
+            "allowed: a right-handed frame (is x or y mirrored?)"
+        )
+    fitting = [one for one, off in zip(counted, apart, strict=True) if off <= _OFF_TURN_RAD]
+    return tuple(fitting or counted)
+
+
+def _why_none(points: np.ndarray, identified: Identified) -> str:
+    """Why no table explains a cloud, as far as it shows."""
+    nearest = identified.nearest
+    if turned := identify_sensor(-elevations(points)).matches:
+        return f"is upside down: with z turned its points are on the rings of {turned[0].model.name}; allowed: z up the sensor's axis"
+    some = points[:: len(points) // 4000 + 1]
+    found = [(identify_sensor(elevations(some - [0.0, 0.0, up])), up) for up in _HEIGHTS_M]
+    found = [(one.matches[0], up) for one, up in found if one.matches]
+    if found:
+        match, up = max(found, key=lambda one: one[0].likelihood)
+        return (
+            f"is in the road's frame: about a place {up:.1f} m up its points are on the rings of {match.model.name}; "
+            f"allowed: the sensor's own frame, or its place with --origin 0 0 {up:.1f}"
+        )
+    if nearest.gain > 0.0:
+        return (
+            f"{100.0 * nearest.on_rings:.0f} % of its points are on the rings of the nearest table, "
+            f"{nearest.model.name}, and the rest on none (points of a second sensor, or of one that moves?); allowed: "
+            "one revolution in its sensor's own frame"
+        )
+    return (
+        "its elevations are on no rings; allowed: one revolution in its sensor's own frame, of a sensor that the verb "
+        "sensors lists or --sensor FILE (is it in the road's frame, filtered by voxels, or of a moving sensor?)"
+    )
+
+
+# --- The background ---------------------------------------------------------------------------------------------------
+
+
+def _background(
+    clouds: Sequence[np.ndarray],
+    rings: Sequence[np.ndarray],
+    model: LidarModel,
+    each: Sequence[RoadFit],
+    names: Sequence[str],
+) -> tuple[np.ndarray, np.ndarray]:
+    """What stands still: by beam the median of the ranges, where most revolutions agree on it; (n, 3) and rings (n,)."""
+    columns = model.columns()
+    ranges = np.full((len(clouds), model.rings * columns), np.nan)
+    for row, (points, ring) in enumerate(zip(clouds, rings, strict=True)):
+        azimuth = np.arctan2(points[:, 0], points[:, 1]) % (2.0 * math.pi)
+        ranges[row, ring * columns + (azimuth / (2.0 * math.pi) * columns).astype(int) % columns] = np.linalg.norm(
+            points, axis=1
+        )
+    seen = np.isfinite(ranges)
+    often = np.flatnonzero(seen.sum(axis=0) > 0.5 * len(clouds))
+    middle = np.nanmedian(ranges[:, often], axis=0)
+    alike = (np.abs(ranges[:, often] - middle) < _STILL_M + _STILL_BY_RANGE * middle).sum(axis=0)
+    stands = alike > 0.5 * len(clouds)
+    _check_still(clouds, rings, each, middle, alike / seen[:, often].sum(axis=0), often, columns, model, names)
+    ring, column = np.divmod(often[stands], columns)
+    azimuth = (column + 0.5) * 2.0 * math.pi / columns
+    level, rise = np.cos(model.elevation_rad[ring]), np.sin(model.elevation_rad[ring])
+    points = middle[stands, None] * np.column_stack([np.sin(azimuth) * level, np.cos(azimuth) * level, rise])
+    return points, ring
+
+
+def _check_still(clouds, rings, each, middle, share, often, columns, model, names) -> None:
+    """Refuse clouds of a LiDAR that moves: what it meets above all vehicles would not stand still."""
+    ring, column = np.divmod(often, columns)
+    azimuth = (column + 0.5) * 2.0 * math.pi / columns
+    level = np.cos(model.elevation_rad[ring])
+    way = np.column_stack([np.sin(azimuth) * level, np.cos(azimuth) * level, np.sin(model.elevation_rad[ring])])
+    above = each[0].pose.height_m + middle * (way @ each[0].pose.rotation)[:, 2]
+    high = above > _HIGH_M
+    if high.sum() >= _FEWEST_HIGH and (share[high] > 0.5).mean() < _MOVES:
+        raise InputError(
+            f"{names[0]} to {names[-1]}: {100.0 * (share[high] > 0.5).mean():.0f} % of what lies more than {_HIGH_M:g} m above the road "
+            "stands still from cloud to cloud; allowed: clouds of a LiDAR that does not move"
+        )
+
+
+# --- What the sensor does not see -------------------------------------------------------------------------------------
+
+
+def _blind_sectors(points: np.ndarray, model: LidarModel, fit: RoadFit) -> tuple[tuple[float, float], ...]:
+    """Sectors without a return, though beams there would meet the road nearby [degrees clockwise from +y]."""
+    azimuth = np.arange(0, 360, _SECTOR_DEG) + 0.5 * _SECTOR_DEG
+    level = np.cos(model.elevation_rad)[:, None]
+    way = np.stack(
+        np.broadcast_arrays(
+            np.sin(np.radians(azimuth)) * level,
+            np.cos(np.radians(azimuth)) * level,
+            np.sin(model.elevation_rad)[:, None],
+        ),
+        axis=-1,
+    )
+    down = -(way @ fit.pose.rotation)[..., 2]
+    meets = ((down > 0.0) & (fit.pose.height_m < _GROUND_M * down)).sum(axis=0) >= 2
+    bearing = np.degrees(np.arctan2(points[:, 0], points[:, 1])) % 360.0
+    empty = (np.bincount((bearing / _SECTOR_DEG).astype(int) % len(azimuth), minlength=len(azimuth)) == 0) & meets
+    if empty.all() or not empty.any():
+        return ()
+    first = int(np.flatnonzero(~empty)[0])
+    turned = np.append(np.roll(empty, -first), False)
+    edges = np.flatnonzero(np.diff(turned.astype(int)))
+    sectors = [(int(a) + 1 + first, int(b) + 1 + first) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return tuple((float(a % 360), float((b - 1) % 360 + 1)) for a, b in sectors if b - a >= _BLIND_DEG)
+
+
+def _dead_rings(ring: np.ndarray, rings: int) -> tuple[int, ...]:
+    """Rings with next to no returns between two that have many."""
+    count = np.bincount(ring, minlength=rings)
+    beside = np.minimum(count[:-2], count[2:])
+    return tuple((np.flatnonzero((beside >= 100) & (count[1:-1] < _DEAD * beside)) + 1).tolist())
