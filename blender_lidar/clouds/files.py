@@ -538,6 +538,29 @@ def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     return points[finite], None if vehicle_id is None else _whole_ids(path, vehicle_id[finite])
 
 
+def read_grid(path: str | Path) -> np.ndarray | None:
+    """An organised cloud as (columns, channels, 3) [m], NaN where nothing returned; None for a file that is not one.
+
+    Columns are what there is more of. Of NPZ files the array has three dimensions, of PCD files HEIGHT is more than 1.
+    """
+    path, shape = Path(path), None
+    with reading(path, "a point cloud"), open_file(path) as stream:
+        if path.suffix.lower() == ".npz":
+            with np.lib.npyio.NpzFile(stream) as archive:
+                name = next((name for name in ("xyz", "xyz_m", "points") if name in archive.files), None)
+                shape = archive[name].shape if name else None
+        elif path.suffix.lower() == ".pcd":
+            lines = (stream.readline().decode("ascii", errors="replace").split() for _ in range(20))
+            head = {words[0]: words[1] for words in lines if len(words) == 2}
+            shape = (int(head.get("HEIGHT", 1)), int(head.get("WIDTH", 1)), 3)
+    if shape is None or len(shape) != 3 or min(shape[:2]) < 2:
+        return None
+    with open_file(path) as stream:
+        points = READERS[path.suffix.lower()](path, stream)[0].astype(float).reshape(*shape[:2], 3)
+    points[~(np.abs(points) <= _FARTHEST_M).all(axis=-1)] = np.nan
+    return points if shape[0] >= shape[1] else np.swapaxes(points, 0, 1)
+
+
 def check_steps(points: np.ndarray, cell_m: float, where: str) -> None:
     """Refuse points (n, 3) that float32 has rounded to steps of more than a fifth of a cell [m], as UTM's are."""
     for axis, values in zip("xyz", points.T, strict=True):

@@ -33,6 +33,7 @@ def add_verbs(subparsers) -> None:
         _render,
         _score,
         _compare,
+        _commission,
         _sensors,
         _doctor,
     ):
@@ -510,6 +511,51 @@ def _compare(subparsers) -> None:
         "output": ("out", "json"),
     }
     add_options(parser, CompareOptions, groups)
+
+
+@dataclass(frozen=True, slots=True)
+class CommissionOptions:
+    """How `commission` reads clouds, and where its results go.
+
+    Attributes
+    ----------
+    sensor : str or None
+        Sensor model, or path of a beam table; by default found from the cloud, or the plan's.
+    axes : str
+        Where x, y and z of the clouds point: r(ight) or l(eft), f(orward) or b(ack), u(p) or d(own), such as flu.
+    origin : (float, float, float) or None
+        Place of the sensor in the clouds [m], where they are in another frame with the sensor's axes.
+    out : str or None
+        Folder of the results; by default a new one under runs/.
+    json : bool
+        Print only the content of the result file, on stdout.
+    """
+
+    sensor: str | None = setting(None, option="--sensor", metavar="NAME")
+    axes: str = setting("rfu", option="--axes", metavar="XYZ")
+    origin: tuple[float, float, float] | None = setting(
+        None, low=-1e9, high=1e9, option="--origin", metavar=("X", "Y", "Z")
+    )
+    out: str | None = setting(None, option="--out", metavar="DIR")
+    json: bool = setting(False, option="--json")
+
+
+def _commission(subparsers) -> None:
+    parser = _verb(
+        subparsers,
+        "commission CLOUD",
+        "sensor and mounting of a LiDAR that hangs, from its own clouds",
+        "Tell from recorded clouds of a LiDAR at a straight road which sensor it is, how high it hangs, how it leans "
+        "against the road, and what that costs beside the plan.",
+        "revolution.pcd",
+        "frame_*.bin --axes flu --run runs/i80_rs-16",
+    )
+    parser.add_argument("clouds", nargs="+", metavar="CLOUD", help="clouds of one mounting, each in its own file")
+    plan = parser.add_argument_group("plan").add_argument
+    said = "folder of the run that planned the mounting: tell how the LiDAR hangs beside its plan, and what that costs"
+    plan("--run", dest="of_run", action=Once, metavar="RUN_DIR", help=said)
+    plan("--lidar", action=Once, metavar="NAME", help="which LiDAR of a run of several it is")
+    add_options(parser, CommissionOptions, {"cloud": ("sensor", "axes", "origin"), "output": ("out", "json")})
 
 
 # --- What there is ----------------------------------------------------------------------------------------------------

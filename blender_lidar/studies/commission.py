@@ -7,12 +7,16 @@ the spread of the single revolutions is told.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import InputError
+from ..scene.mounting import Layout, Mounting, hung_at
+from ..scene.site import Site
+from ..scoring.evaluation import site_evaluator
+from ..sensors.beams import beam_directions
 from ..sensors.identify import (
     Identified,
     elevations,
@@ -22,7 +26,8 @@ from ..sensors.identify import (
     offsets_misfit,
 )
 from ..sensors.model import LidarModel
-from .road_fit import FEWEST_POINTS, RoadFit, fit_road
+from ..statistics import block_sums, of_blocks, statistic_interval_90
+from .road_fit import FEWEST_POINTS, Estimate, RoadFit, fit_road
 
 _NO_METRES_M = 1500.0  # median range of a cloud that is not in metres
 _HEIGHTS_M = np.arange(0.5, 25.0, 0.1)  # of a sensor in a cloud that is in the road's frame
@@ -165,8 +170,8 @@ def _sensor(
         if not own.matches:
             also = f"; its points are on those of {identified.matches[0].model.name}" if identified.matches else ""
             raise InputError(
-                f"{name}: {100.0 * own.nearest.on_rings:.0f} % of its points are on the rings of {given.name}, where "
-                f"chance gives 50 %; allowed: a cloud of that sensor in its own frame{also}"
+                f"{name}: {100.0 * own.nearest.on_rings:.0f} % of its points are on the rings of {given.name}; "
+                f"allowed: a cloud of that sensor in its own frame{also}"
             )
         model, matches = given, own.matches
     elif identified.matches:
@@ -201,7 +206,8 @@ def _why_none(points: np.ndarray, identified: Identified) -> str:
     """Why no table explains a cloud, as far as it shows."""
     nearest = identified.nearest
     if turned := identify_sensor(-elevations(points)).matches:
-        return f"is upside down: with z turned its points are on the rings of {turned[0].model.name}; allowed: z up the sensor's axis"
+        name = turned[0].model.name
+        return f"is upside down: with z turned its points are on the rings of {name}; allowed: z up the sensor's axis"
     some = points[:: len(points) // 4000 + 1]
     found = [(identify_sensor(elevations(some - [0.0, 0.0, up])), up) for up in _HEIGHTS_M]
     found = [(one.matches[0], up) for one, up in found if one.matches]
@@ -211,7 +217,7 @@ def _why_none(points: np.ndarray, identified: Identified) -> str:
             f"is in the road's frame: about a place {up:.1f} m up its points are on the rings of {match.model.name}; "
             f"allowed: the sensor's own frame, or its place with --origin 0 0 {up:.1f}"
         )
-    if nearest.gain > 0.0:
+    if nearest.on_rings > 0.4:
         return (
             f"{100.0 * nearest.on_rings:.0f} % of its points are on the rings of the nearest table, "
             f"{nearest.model.name}, and the rest on none (points of a second sensor, or of one that moves?); allowed: "
@@ -233,40 +239,26 @@ def _background(
     each: Sequence[RoadFit],
     names: Sequence[str],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What stands still: by beam the median of the ranges, where most revolutions agree on it; (n, 3) and rings (n,)."""
+    """What stands still, (n, 3) and rings (n,): by beam the median of the ranges, where most revolutions agree."""
     columns = model.columns()
     ranges = np.full((len(clouds), model.rings * columns), np.nan)
     for row, (points, ring) in enumerate(zip(clouds, rings, strict=True)):
-        azimuth = np.arctan2(points[:, 0], points[:, 1]) % (2.0 * math.pi)
-        ranges[row, ring * columns + (azimuth / (2.0 * math.pi) * columns).astype(int) % columns] = np.linalg.norm(
-            points, axis=1
-        )
-    seen = np.isfinite(ranges)
-    often = np.flatnonzero(seen.sum(axis=0) > 0.5 * len(clouds))
-    middle = np.nanmedian(ranges[:, often], axis=0)
-    alike = (np.abs(ranges[:, often] - middle) < _STILL_M + _STILL_BY_RANGE * middle).sum(axis=0)
-    stands = alike > 0.5 * len(clouds)
-    _check_still(clouds, rings, each, middle, alike / seen[:, often].sum(axis=0), often, columns, model, names)
-    ring, column = np.divmod(often[stands], columns)
-    azimuth = (column + 0.5) * 2.0 * math.pi / columns
-    level, rise = np.cos(model.elevation_rad[ring]), np.sin(model.elevation_rad[ring])
-    points = middle[stands, None] * np.column_stack([np.sin(azimuth) * level, np.cos(azimuth) * level, rise])
-    return points, ring
-
-
-def _check_still(clouds, rings, each, middle, share, often, columns, model, names) -> None:
-    """Refuse clouds of a LiDAR that moves: what it meets above all vehicles would not stand still."""
+        column = (np.arctan2(points[:, 0], points[:, 1]) / (2.0 * math.pi) * columns).astype(int) % columns
+        ranges[row, ring * columns + column] = np.linalg.norm(points, axis=1)
+    often = np.flatnonzero(np.isfinite(ranges).sum(axis=0) > 0.5 * len(clouds))
+    ranges = ranges[:, often]
+    middle = np.nanmedian(ranges, axis=0)
+    still = (np.abs(ranges - middle) < _STILL_M + _STILL_BY_RANGE * middle).sum(axis=0) > 0.5 * len(clouds)
     ring, column = np.divmod(often, columns)
-    azimuth = (column + 0.5) * 2.0 * math.pi / columns
-    level = np.cos(model.elevation_rad[ring])
-    way = np.column_stack([np.sin(azimuth) * level, np.cos(azimuth) * level, np.sin(model.elevation_rad[ring])])
-    above = each[0].pose.height_m + middle * (way @ each[0].pose.rotation)[:, 2]
-    high = above > _HIGH_M
-    if high.sum() >= _FEWEST_HIGH and (share[high] > 0.5).mean() < _MOVES:
+    points = middle[:, None] * beam_directions((column + 0.5) * 2.0 * math.pi / columns, model.elevation_rad[ring])
+    high = each[0].pose.to_world(points)[:, 2] + each[0].pose.height_m > _HIGH_M
+    share = float(still[high].mean()) if high.sum() >= _FEWEST_HIGH else 1.0
+    if share < _MOVES:
         raise InputError(
-            f"{names[0]} to {names[-1]}: {100.0 * (share[high] > 0.5).mean():.0f} % of what lies more than {_HIGH_M:g} m above the road "
+            f"{names[0]} to {names[-1]}: {100.0 * share:.0f} % of what lies more than {_HIGH_M:g} m above the road "
             "stands still from cloud to cloud; allowed: clouds of a LiDAR that does not move"
         )
+    return points[still], ring[still]
 
 
 # --- What the sensor does not see -------------------------------------------------------------------------------------
@@ -275,15 +267,7 @@ def _check_still(clouds, rings, each, middle, share, often, columns, model, name
 def _blind_sectors(points: np.ndarray, model: LidarModel, fit: RoadFit) -> tuple[tuple[float, float], ...]:
     """Sectors without a return, though beams there would meet the road nearby [degrees clockwise from +y]."""
     azimuth = np.arange(0, 360, _SECTOR_DEG) + 0.5 * _SECTOR_DEG
-    level = np.cos(model.elevation_rad)[:, None]
-    way = np.stack(
-        np.broadcast_arrays(
-            np.sin(np.radians(azimuth)) * level,
-            np.cos(np.radians(azimuth)) * level,
-            np.sin(model.elevation_rad)[:, None],
-        ),
-        axis=-1,
-    )
+    way = beam_directions(np.radians(azimuth), model.elevation_rad[:, None])
     down = -(way @ fit.pose.rotation)[..., 2]
     meets = ((down > 0.0) & (fit.pose.height_m < _GROUND_M * down)).sum(axis=0) >= 2
     bearing = np.degrees(np.arctan2(points[:, 0], points[:, 1])) % 360.0
@@ -302,3 +286,126 @@ def _dead_rings(ring: np.ndarray, rings: int) -> tuple[int, ...]:
     count = np.bincount(ring, minlength=rings)
     beside = np.minimum(count[:-2], count[2:])
     return tuple((np.flatnonzero((beside >= 100) & (count[1:-1] < _DEAD * beside)) + 1).tolist())
+
+
+# --- Against the plan -------------------------------------------------------------------------------------------------
+
+
+def hung_mounting(site: Site, planned: Mounting, fit: RoadFit) -> Mounting:
+    """The mounting that a fit says, at the place of the planned one; with the planned yaw where none was seen."""
+    plan, road = planned.pose, site.scenario.road_map
+    level = float(road.surface.height(np.array([plan.x_m, plan.y_m])))
+    yaw = plan.yaw if fit.yaw is None else fit.yaw.value
+    pose = replace(fit.pose, x_m=plan.x_m, y_m=plan.y_m, height_m=level + fit.pose.height_m, yaw=yaw)
+    return hung_at(pose, road, planned.mast.facing_rad)
+
+
+def against_plan(site: Site, layout: Layout, number: int, fit: RoadFit) -> dict:
+    """How a LiDAR hangs beside its plan, and what that costs.
+
+    Parameters
+    ----------
+    site : Site
+    layout : Layout
+        The planned mountings.
+    number : int
+        Of the LiDAR among them.
+    fit : RoadFit
+        With the planned yaw as its `facing`.
+
+    Returns
+    -------
+    dict
+        ``planned`` and ``measured`` mountings as tables; ``differences`` of the coordinates that were measured, each
+        with ``value`` and ``interval_90`` [m, degrees]; the ``falls`` of the sensor's base towards zero azimuth and a
+        quarter turn clockwise from it, planned and measured [degrees]; ``detectable_share`` of both, on held-out
+        traffic where there is any, with ``gain`` and ``interval_90`` of the measured over the planned.
+    """
+    planned = layout[number]
+    hangs = hung_mounting(site, planned, fit)
+    tables, measured = [one.as_table() for one in (planned, hangs)], _measured(fit)
+    differences = {}
+    for key, (one, unit) in measured.items():
+        off = math.remainder(tables[1][key] - tables[0][key], 360.0) if unit != 1.0 else tables[1][key] - tables[0][key]
+        half = 0.5 * unit * (one.interval_90[1] - one.interval_90[0])
+        differences[key] = {"value": off, "interval_90": [off - half, off + half]}
+    up = np.array(planned.mast.up)
+    falls = [
+        [-math.degrees(math.asin(axis @ up)) for axis in one.pose.to_world(np.eye(3))[[1, 0]]]
+        for one in (planned, hangs)
+    ]
+    others = [*layout]
+    others[number] = hangs
+    with site_evaluator(site, site.search, site.holdout) as evaluator:
+        held_out = len(site.holdout) > 0
+        totals = (evaluator.held_out if held_out else evaluator).totals([layout, tuple(others)])
+    block, recording = (
+        getattr(site.plan, f"{'holdout' if held_out else 'search'}_{name}") for name in ("block", "recording")
+    )
+    seen, weight = block_sums(totals.detectable, block), block_sums(totals.weight, block)
+    strata = of_blocks(recording, block) if len(site.scenario.recordings) > 1 else None
+    interval = statistic_interval_90(
+        lambda drawn: drawn @ (seen[1] - seen[0]) / (drawn @ weight), weight, site.scenario.search.seed, strata
+    )
+    shares = (seen.sum(axis=1) / weight.sum()).tolist()
+    return {
+        "planned": tables[0],
+        "measured": tables[1],
+        "differences": differences,
+        "falls_deg": {"planned": falls[0], "measured": falls[1]},
+        "detectable_share": {
+            "planned": shares[0],
+            "measured": shares[1],
+            "gain": shares[1] - shares[0],
+            "interval_90": interval and list(interval),
+            "held_out": held_out,
+            "blocks": int((weight > 0).sum()),
+        },
+    }
+
+
+def _measured(fit: RoadFit) -> dict[str, tuple[Estimate, float]]:
+    """What a fit measures, by the coordinates of a mounting, and the factor of each to their units."""
+    degrees = math.degrees(1.0)
+    found = {"height_m": (fit.height_m, 1.0), "tilt_x_deg": (fit.tilt_x, degrees), "tilt_y_deg": (fit.tilt_y, degrees)}
+    return found if fit.yaw is None else {**found, "yaw_deg": (fit.yaw, degrees)}
+
+
+def result_of(found: Commissioned, axes: str, plan: Mapping | None) -> dict:
+    """What clouds said, for a result file; lengths in metres and angles in degrees, as the keys say."""
+    fit = found.fit
+    mounting = {}
+    for key, (one, unit) in _measured(fit).items():
+        ends = [unit * end for end in one.interval_90]
+        mounting[key] = {"value": unit * one.value, "interval_90": ends, "systematic": unit * one.systematic}
+        if found.each:
+            every = [unit * _measured(other)[key][0].value for other in found.each if key in _measured(other)]
+            mounting[key]["sd_of_clouds"] = float(np.std(every, ddof=1)) if len(every) > 1 else None
+    check, bias = fit.ring_check, fit.range_error_m
+    nearest = found.identified.nearest
+    return {
+        "sensor": found.model.name,
+        "as_possible": [one.model.name for one in found.identified.matches if one.model.name != found.model.name],
+        "on_rings": (found.identified.matches or [nearest])[0].on_rings,
+        "axes": axes,
+        "pose": fit.pose.as_table(),
+        "mounting": mounting,
+        "direction_from": fit.direction_from,
+        "carriageways": [
+            {"y_m": list(one.y_m), "cross_fall_percent": 100.0 * one.slope, "above_m": one.above_m}
+            for one in fit.carriageways
+        ],
+        "road_residual_m": fit.residual_m,
+        "range_error_m": {"value": bias.value, "interval_90": list(bias.interval_90)},
+        "lens_m": found.lens_m,
+        "blind_sectors_deg": [list(one) for one in found.blind_deg],
+        "dead_rings": list(found.dead_rings),
+        "unit": {
+            "rings": int(np.isfinite(fit.ring_sd_rad).sum()),
+            "learnt_and_judged_on": check.halves,
+            "off_before_deg": check.before_rad and math.degrees(check.before_rad),
+            "off_after_deg": check.after_rad and math.degrees(check.after_rad),
+        },
+        "points": len(found.points),
+        **({"plan": plan} if plan else {}),
+    }

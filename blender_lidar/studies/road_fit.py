@@ -84,7 +84,8 @@ class RingCheck(NamedTuple):
 class RoadFit:
     """Where a LiDAR hangs above a road, by its cloud.
 
-    The road frame has its origin under the LiDAR on the road's surface, prolonged where that is hidden, x along the road, z square to the mean slope of its carriageways.
+    The road frame has its origin under the LiDAR on the road's surface, prolonged where that is hidden, x along the
+    road, z square to the mean slope of its carriageways.
 
     Attributes
     ----------
@@ -432,7 +433,7 @@ def _strips(
 
 
 class _Reading(NamedTuple):
-    """Level under the LiDAR [m], slopes of the road along and across, and how much the first and the last are in doubt."""
+    """Level under the LiDAR [m], slopes of the road along and across, and the doubt in the first and the last."""
 
     level: float
     along: float

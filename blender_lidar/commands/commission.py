@@ -1,0 +1,124 @@
+"""blender-lidar commission: the sensor and the mounting of a LiDAR that hangs, from its own clouds."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ..clouds.files import read_grid, read_points
+from ..clouds.fit import in_frame
+from ..errors import InputError, MissingExtraError
+from ..files import check_folder, check_unused, make_folder, write_text
+from ..report.commission import commission_text, correction_sheet, draw_commission
+from ..run.folder import SCENE, RunFolder
+from ..scene.scenario import load_scenario
+from ..scene.site import prepare
+from ..sensors.model import load_model
+from ..studies.commission import Commissioned, against_plan, commission, result_of
+from .options import check_scipy, layout_of_run, new_folder, options_of
+from .parsers import CommissionOptions
+from .progress import Progress
+from .report import note, say_result
+
+COMMISSION_SCHEMA = 1
+RESULT, BEAMS, DEPLOYMENT = "commission.json", "beams.toml", "deployment.toml"
+SHEET, PICTURE = "correction.txt", "commission.png"
+_OURS = RESULT, BEAMS, DEPLOYMENT, SHEET, PICTURE
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry it out; returns the exit code."""
+    check_scipy("commission")
+    asked = options_of(args, CommissionOptions)
+    folder = Path(asked.out or new_folder("commission"))
+    check_folder(folder, "--out")
+    check_unused(folder, "--out", "commission", lambda path: path.name in _OURS)
+    given = None if asked.sensor is None else load_model(asked.sensor)
+    site = None
+    if args.of_run is not None:
+        scenario = load_scenario(RunFolder(args.of_run).file(SCENE))
+        layout, number = layout_of_run(args.of_run, scenario), _number(args.lidar, scenario)
+        site = prepare(scenario, layout)
+        given = given or site.each[number].model
+    elif args.lidar is not None:
+        raise InputError("--lidar: is given without --run; allowed: both")
+    clouds = [_in_sensor_frame(read_points(path)[0], asked) for path in args.clouds]
+    grid = read_grid(args.clouds[0])
+    progress = Progress(len(clouds), "clouds")
+    try:
+        found = commission(
+            clouds,
+            args.clouds,
+            given,
+            None if grid is None else _in_sensor_frame(grid.reshape(-1, 3), asked).reshape(grid.shape),
+            layout[number].pose.yaw if site else None,
+            lambda: progress.advance(1),
+        )
+    finally:
+        progress.close()
+    plan = against_plan(site, layout, number, found.fit) if site else None
+    result = {"schema": COMMISSION_SCHEMA, "clouds": len(clouds), "source": list(args.clouds)}
+    result |= result_of(found, asked.axes, plan)
+    make_folder(folder, "--out")
+    write_text(folder / BEAMS, unit_table(found))
+    write_text(folder / DEPLOYMENT, deployment(found))
+    written = [RESULT, BEAMS, DEPLOYMENT]
+    if plan:
+        write_text(folder / SHEET, correction_sheet(result))
+        written.append(SHEET)
+    try:
+        draw_commission(folder / PICTURE, found, result)
+        written.append(PICTURE)
+    except MissingExtraError as error:
+        note(f"no picture: {error}")
+    write_text(folder / RESULT, json.dumps(result, indent=2, allow_nan=False) + "\n")
+    return say_result(args, f"{commission_text(result)}\n\nResults in {folder}: {', '.join(written)}", result)
+
+
+def _number(name: str | None, scenario) -> int:
+    """Which LiDAR of the plan it is."""
+    names = [one.lidar_name for one in scenario.each]
+    if name is None and len(names) == 1:
+        return 0
+    if name not in names:
+        what = "is not given" if name is None else f"is {name!r}"
+        raise InputError(f"--lidar: {what}; allowed: {', '.join(map(repr, names))}")
+    return names.index(name)
+
+
+def _in_sensor_frame(points: np.ndarray, asked: CommissionOptions) -> np.ndarray:
+    """Points as they come, from the sensor's place, with x to the right of y and z up."""
+    return in_frame(points - (asked.origin or (0.0, 0.0, 0.0)), asked.axes, None)
+
+
+def deployment(found: Commissioned) -> str:
+    """The mounting as tables of a scene: of a road along x, with the LiDAR's mast at its side and facing +y."""
+    table = found.fit.pose.as_table()
+    lines = "".join(f"{key} = {table[key]:.4f}\n" for key in ("height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"))
+    return f'[sensor]\nname = "{found.model.name}"\n\n[deployment]\n{lines}'
+
+
+def unit_table(found: Commissioned) -> str:
+    """A sensor file of this unit: the model's, with the elevations that the road taught."""
+    model, elevation = found.model, np.degrees(found.unit_rad)
+    order = np.argsort(elevation, kind="stable")
+    columns = elevation, np.degrees(model.azimuth_offset_rad), 1e6 * model.fire_time_s
+    rows = "".join(
+        f"    [{ring}, {e:.4f}, {a:.4f}, {t:.4f}],\n" for ring, (e, a, t) in enumerate(np.column_stack(columns)[order])
+    )
+    keys = {
+        "name": json.dumps(f"{model.name}, this unit"),
+        "source": json.dumps(f"{model.name}, elevations corrected by commission where the road showed them"),
+        "rotation_hz": list(model.rotation_hz),
+        "default_rotation_hz": model.default_rotation_hz,
+        "block_time_us": model.block_time_us,
+        "range_min_m": model.range_min_m,
+        "range_max_m": model.range_max_m,
+        "range_noise_m": model.range_noise_m,
+        "range_at_10_percent_m": model.range_at_10_percent_m,
+    }
+    head = "".join(f"{key} = {value}\n" for key, value in keys.items() if value is not None)
+    return f"{head}\n# ring, elevation [deg], azimuth offset [deg], fire offset [us]\nbeams = [\n{rows}]\n"
