@@ -59,8 +59,12 @@ def _wrapped(texts) -> list[str]:
     return [line for text in texts for line in textwrap.wrap(text, _WIDTH)]
 
 
+def _number(value: float, digits: int) -> str:
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
 def _interval(ends, digits: int) -> str:
-    return f"{ends[0]:.{digits}f} to {ends[1]:.{digits}f}"
+    return " to ".join(_number(end, digits) for end in ends)
 
 
 def _mounting_rows(result):
@@ -72,7 +76,7 @@ def _mounting_rows(result):
         rows.append(
             (
                 f"  {name} [{unit}]",
-                f"{one['value']:.{digits}f}",
+                _number(one["value"], digits),
                 _interval(one["interval_90"], digits),
                 f"+/-{1.645 * one['systematic']:.{digits}f}",
                 *(["-" if spread is None else f"{spread:.{digits + 1}f}"] * several),
@@ -135,7 +139,7 @@ def _plan_lines(plan) -> list[str]:
         rows.append(
             (
                 f"  {name} [{unit}]",
-                *(f"{plan[of][key]:.{digits}f}" for of in ("planned", "measured")),
+                *(_number(plan[of][key], digits) for of in ("planned", "measured")),
                 sign,
                 _interval(off["interval_90"], digits),
             )
@@ -190,7 +194,7 @@ def correction_sheet(result: Mapping) -> str:
     """The sheet for the crew at the mast, as plain text; `result` as commission.json has it, with a plan."""
     plan = result["plan"]
     lines = [f"Correction of the {result['sensor']}", "", *(f"- {one}" for one in _corrections(plan)), "", "Then check"]
-    ahead, right = plan["falls_deg"]["planned"]
+    ahead, right = (round(fall, 1) + 0.0 for fall in plan["falls_deg"]["planned"])
     lines += [
         f"- Inclinometer on the sensor's base: a fall of {ahead:.1f} deg towards zero azimuth and of",
         f"  {right:.1f} deg a quarter turn clockwise from it (a negative fall is a rise).",

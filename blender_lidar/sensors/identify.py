@@ -24,7 +24,7 @@ _MOST_POINTS = 20_000
 _ENOUGH = 30  # points of a ring, beside which a ring without any cannot lie
 _BESIDE_RAD = math.radians(0.35)
 _UNIT_RAD = math.radians(0.03)  # standard deviation of a unit's elevations, where the table itself does not fit
-_LENSES_M = np.arange(-0.02, 0.0621, 0.002)
+_LENSES_M, _LENS_SHOWS = np.arange(-0.02, 0.0621, 0.002), 0.5  # the misfit falls to half: else units' rings may err
 _MOST_OFFSET_RAD = math.radians(1.0)  # of the columns of an organised cloud from a table's azimuth offsets
 
 
@@ -85,10 +85,12 @@ def nearest_ring(elevation: np.ndarray, ladder: np.ndarray) -> np.ndarray:
     return above - (elevation - ladder[above - 1] < ladder[above] - elevation)
 
 
-def identify_sensor(elevation: np.ndarray, models: Sequence[LidarModel] | None = None) -> Identified:
+def identify_sensor(
+    elevation: np.ndarray, models: Sequence[LidarModel] | None = None, *, units: bool = True
+) -> Identified:
     """The beam tables that explain the elevations (n,) [rad] of a cloud in its sensor's frame.
 
-    Where no table fits as it is, units whose rings differ from it by about 0.03 degrees are tried.
+    Where no table fits as it is, `units` whose rings differ from it by about 0.03 degrees are tried.
 
     Parameters
     ----------
@@ -99,7 +101,7 @@ def identify_sensor(elevation: np.ndarray, models: Sequence[LidarModel] | None =
     models = [load_model(name) for name in model_names()] if models is None else models
     models = [model for model in models if model.rings > 1]
     some = np.sort(elevation[:: len(elevation) // _MOST_POINTS + 1])
-    for of_unit in (False, True):
+    for of_unit in (False, True) if units else (False,):
         found = [_match(some, model, of_unit) for model in models]
         found.sort(key=lambda one: -one.likelihood)
         explaining = [one for one in found if one.explains]
@@ -193,7 +195,7 @@ def lens_offset(points: np.ndarray, model: LidarModel) -> float:
 
     found = [misfit(lens_m) for lens_m in _LENSES_M]
     at = int(np.argmin(found))
-    return float(_LENSES_M[at]) if found[at] < 0.9 * found[int(np.argmin(np.abs(_LENSES_M)))] else 0.0
+    return float(_LENSES_M[at]) if found[at] < _LENS_SHOWS * found[int(np.argmin(np.abs(_LENSES_M)))] else 0.0
 
 
 def offsets_misfit(grid: np.ndarray, model: LidarModel, *, mirrored: bool = False) -> float:

@@ -30,11 +30,12 @@ from ..statistics import block_sums, of_blocks, statistic_interval_90
 from .road_fit import FEWEST_POINTS, Estimate, RoadFit, fit_road
 
 _NO_METRES_M = 1500.0  # median range of a cloud that is not in metres
-_HEIGHTS_M = np.arange(0.5, 25.0, 0.1)  # of a sensor in a cloud that is in the road's frame
+_HEIGHTS_M, _FAR_M = np.arange(0.5, 25.0, 0.1), 15.0  # of a sensor in a cloud that is in the road's frame
 _OFF_TURN_RAD = math.radians(1.0)  # azimuths of columns so far from a table's are not of it
 _FEWEST_CLOUDS = 3  # of which a background is taken
 _STILL_M, _STILL_BY_RANGE = 0.15, 0.005  # how far the ranges of a beam may differ if what it meets stands still
 _HIGH_M, _FEWEST_HIGH, _MOVES = 2.5, 100, 0.25  # points above vehicles; least share of them that must stand still
+_FLOOR_M, _MOST_ON_FLOOR = 0.1, 0.25  # of z; only one ring of a sensor is level
 _SECTOR_DEG, _BLIND_DEG, _GROUND_M = 1, 4, 30.0
 _DEAD = 0.05  # of the returns of the rings beside it
 
@@ -164,6 +165,12 @@ def _sensor(
     name: str, points: np.ndarray, given: LidarModel | None, grid: np.ndarray | None
 ) -> tuple[LidarModel, Identified]:
     """The sensor of a cloud, and what its elevations say; without an answer, why."""
+    on_floor = float((np.abs(points[:, 2]) < _FLOOR_M).mean())
+    if on_floor > _MOST_ON_FLOOR:
+        raise InputError(
+            f"{name}: is in the road's frame: {100.0 * on_floor:.0f} % of its points lie at z = 0; allowed: the "
+            f"sensor's own frame{_hung_at(points)}"
+        )
     identified = identify_sensor(elevations(points))
     if given is not None:
         own = identify_sensor(elevations(points), [given])
@@ -208,15 +215,8 @@ def _why_none(points: np.ndarray, identified: Identified) -> str:
     if turned := identify_sensor(-elevations(points)).matches:
         name = turned[0].model.name
         return f"is upside down: with z turned its points are on the rings of {name}; allowed: z up the sensor's axis"
-    some = points[:: len(points) // 4000 + 1]
-    found = [(identify_sensor(elevations(some - [0.0, 0.0, up])), up) for up in _HEIGHTS_M]
-    found = [(one.matches[0], up) for one, up in found if one.matches]
-    if found:
-        match, up = max(found, key=lambda one: one[0].likelihood)
-        return (
-            f"is in the road's frame: about a place {up:.1f} m up its points are on the rings of {match.model.name}; "
-            f"allowed: the sensor's own frame, or its place with --origin 0 0 {up:.1f}"
-        )
+    if at := _hung_at(points):
+        return f"is in the road's frame; allowed: the sensor's own frame{at}"
     if nearest.on_rings > 0.4:
         return (
             f"{100.0 * nearest.on_rings:.0f} % of its points are on the rings of the nearest table, "
@@ -227,6 +227,23 @@ def _why_none(points: np.ndarray, identified: Identified) -> str:
         "its elevations are on no rings; allowed: one revolution in its sensor's own frame, of a sensor that the verb "
         "sensors lists or --sensor FILE (is it in the road's frame, filtered by voxels, or of a moving sensor?)"
     )
+
+
+def _hung_at(points: np.ndarray) -> str:
+    """The height about which points of the road's frame are on the rings of a sensor that hangs level, in words."""
+    far = points[np.hypot(points[:, 0], points[:, 1]) > _FAR_M]  # where a few centimetres of height turn nothing
+    some = far[:: len(far) // 1500 + 1]
+    if len(some) < FEWEST_POINTS:
+        return ""
+    found = [
+        (one.likelihood, one.model.name, up)
+        for up in _HEIGHTS_M
+        for one in identify_sensor(elevations(some - [0.0, 0.0, up]), units=False).matches[:1]
+    ]
+    if not found:
+        return ""
+    _, name, up = max(found)
+    return f", or its place: seen from {up:.1f} m up its points are on the rings of {name} (--origin 0 0 {up:.1f})"
 
 
 # --- The background ---------------------------------------------------------------------------------------------------
@@ -282,10 +299,15 @@ def _blind_sectors(points: np.ndarray, model: LidarModel, fit: RoadFit) -> tuple
 
 
 def _dead_rings(ring: np.ndarray, rings: int) -> tuple[int, ...]:
-    """Rings with next to no returns between two that have many."""
-    count = np.bincount(ring, minlength=rings)
-    beside = np.minimum(count[:-2], count[2:])
-    return tuple((np.flatnonzero((beside >= 100) & (count[1:-1] < _DEAD * beside)) + 1).tolist())
+    """Rings with next to no returns between two that have many, to which they did not go: beams of units may cross."""
+    count = np.bincount(ring, minlength=rings).astype(float)
+    found = []
+    for one in range(3, rings - 3):
+        around = np.median(count[one + np.array([-3, -2, 2, 3])])
+        beside = count[[one - 1, one + 1]]
+        if count[one] < _DEAD * beside.min() and beside.min() >= 100 and beside.sum() < 2.3 * around:
+            found.append(one)
+    return tuple(found)
 
 
 # --- Against the plan -------------------------------------------------------------------------------------------------

@@ -555,7 +555,7 @@ def fit_road(
     posterior = np.sqrt(np.diag(solved.covariance))
     return RoadFit(
         pose=pose,
-        height_m=Estimate(above, spread.level, math.hypot(_SYSTEMATIC_M, first.level_doubt, float(posterior[0]))),
+        height_m=Estimate(above, max(spread.level, float(posterior[0])), math.hypot(_SYSTEMATIC_M, first.level_doubt)),
         tilt_x=_about(about, spread, first.across_doubt, tilt_x),
         tilt_y=_about(about[::-1], spread, first.across_doubt, tilt_y),
         yaw=None if direction is None else direction._replace(value=yaw),
