@@ -17,13 +17,15 @@ from .model import LidarModel, load_model, model_names
 
 _SPREADS_RAD = np.radians([0.003, 0.006, 0.012, 0.025])  # of points about their rings, of which the likeliest is taken
 _STRAY, _EXPECTATIONS = 0.05, 12  # share of the points that lie anywhere, to begin with; rounds to find it
-_FARTHEST_RAD = math.radians(0.6)  # from its ring: what lies farther is none of its points
+_FARTHEST_RAD = math.radians(0.8)  # from its ring: what lies farther is none of its points
 _LEAST_GAIN, _LEAST_ON_RINGS, _LEAST_SEEN = 0.3, 0.92, 0.8  # of a table that explains a cloud
 _ALIKE_GAIN = 0.15  # less than the best table's: as possible
 _MOST_POINTS = 20_000
 _ENOUGH = 30  # points of a ring, beside which a ring without any cannot lie
 _BESIDE_RAD = math.radians(0.35)
-_UNIT_RAD = math.radians(0.03)  # standard deviation of a unit's elevations, where the table itself does not fit
+# Where the table itself does not fit: standard deviation of a unit's elevations, and how far a ring may be off, also as
+# a share of the way to the next. Makers' calibrations of units differ from their tables by up to 0.45 degrees.
+_UNIT_RAD, _SHIFT_RAD, _SHIFT = math.radians(0.05), math.radians(0.12), 0.35
 _LENSES_M, _LENS_SHOWS = np.arange(-0.02, 0.0621, 0.002), 0.5  # the misfit falls to half: else units' rings may err
 _MOST_OFFSET_RAD = math.radians(1.0)  # of the columns of an organised cloud from a table's azimuth offsets
 
@@ -39,7 +41,7 @@ class Match(NamedTuple):
     likelihood : float
         Mean log-likelihood of a point [nats], less the cost of the table's rings (Schwarz's BIC).
     on_rings : float
-        Share of the points that are on rings and not anywhere, by expectation maximisation.
+        Share of the points that are on rings, within the widest spread, and not anywhere, by expectation maximisation.
     seen : float
         Share of the rings between the lowest and the highest point that have points.
     """
@@ -90,7 +92,7 @@ def identify_sensor(
 ) -> Identified:
     """The beam tables that explain the elevations (n,) [rad] of a cloud in its sensor's frame.
 
-    Where no table fits as it is, `units` whose rings differ from it by about 0.03 degrees are tried.
+    Where no table fits as it is, `units` whose rings are off it are tried.
 
     Parameters
     ----------
@@ -127,11 +129,10 @@ def _match(elevation: np.ndarray, model: LidarModel, of_unit: bool) -> Match:
         elevation <= np.minimum(high[ring], ladder[ring] + _FARTHEST_RAD)
     )
     points = np.bincount(ring[inside], minlength=len(ladder))
-    if of_unit:
-        shift = _ring_shifts(off, ring, inside, reach)
-        off = off - shift[ring]
+    shift = _ring_shifts(off, ring, inside, reach) if of_unit else np.zeros(len(ladder))
+    off = off - shift[ring]
     gap, weight = (high - low)[ring], np.maximum(points[ring], 0.5) / count
-    best = (-math.inf, 0.0, 0.0)
+    best = (-math.inf, 0.0)
     for spread in _SPREADS_RAD:
         density = np.where(inside, np.exp(-0.5 * (off / spread) ** 2) / (spread * math.sqrt(2.0 * math.pi)), 0.0)
         on_rings = 1.0 - _STRAY
@@ -140,14 +141,15 @@ def _match(elevation: np.ndarray, model: LidarModel, of_unit: bool) -> Match:
             on_rings = min(on_rings, 1.0 - 0.1 * _STRAY)
         over_chance = np.log(on_rings * density * gap + 1.0 - on_rings)
         of_points = np.where(inside, over_chance + np.log(weight / gap), math.log(0.1 * _STRAY / math.pi))
-        best = max(best, (float(of_points.mean()), float(over_chance.mean()), on_rings))
+        best = max(best, (float(of_points.mean()), float(over_chance.mean())))
+    likelihood, gain = best
     spanned = (ladder >= elevation[0] - _UNIT_RAD) & (ladder <= elevation[-1] + _UNIT_RAD)
-    cost = 0.5 * model.rings * math.log(count) / count
+    seen = float((points[spanned] > 0).mean()) if spanned.any() else 0.0
+    likelihood -= 0.5 * model.rings * math.log(count) / count
+    likelihood -= 0.5 * float(np.mean((shift[ring] / _UNIT_RAD) ** 2))  # of two tables the one that fits with less
     if not of_unit and _has_hole(points, ladder):
-        return Match(model, 0.0, best[0] - cost, on_rings, 0.0)
-    return Match(
-        model, best[1], best[0] - cost, on_rings, float((points[spanned] > 0).mean()) if spanned.any() else 0.0
-    )
+        gain = seen = 0.0
+    return Match(model, gain, likelihood, on_rings, seen)
 
 
 def _ring_shifts(off: np.ndarray, ring: np.ndarray, inside: np.ndarray, reach: np.ndarray) -> np.ndarray:
@@ -158,7 +160,8 @@ def _ring_shifts(off: np.ndarray, ring: np.ndarray, inside: np.ndarray, reach: n
         median = float(np.median(mine))
         error = 1.5 * float(np.median(np.abs(mine - median))) / math.sqrt(len(mine))
         shift[one] = median * _UNIT_RAD**2 / (_UNIT_RAD**2 + error**2)
-    return np.where(np.abs(shift) <= np.minimum(reach, 4.0 * _UNIT_RAD), shift, 0.0)
+    most = np.maximum(np.minimum(reach, _SHIFT_RAD), 2.0 * _SHIFT * reach)
+    return np.where(np.abs(shift) <= most, shift, 0.0)
 
 
 def _has_hole(points: np.ndarray, ladder: np.ndarray) -> bool:
