@@ -15,11 +15,16 @@ from blender_lidar.clouds.files import in_own_frame, read_cloud, write_cloud
 from blender_lidar.clouds.rings import beam_phase, on_beams
 from blender_lidar.detection.classical import ClassicalDetector
 from blender_lidar.detection.files import kitti_labels
+from blender_lidar.detection.fitted_boxes import fit_boxes
 from blender_lidar.detection.labels import read_labels
+from blender_lidar.detection.stored import RecordedClouds
 from blender_lidar.errors import InputError
+from blender_lidar.files import write_columns
 from blender_lidar.sensors.beams import beam_lattice
+from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
+from blender_lidar.traffic.vehicles import CLASSES, Vehicles
 from tests.recorded_samples import CASTER, SENSOR, scanned, street
 from tests.refusals import refused
 from tests.small_scene import REGION, cli, done, write_scene
@@ -32,10 +37,13 @@ CLASSICAL = ("--detector", "classical")
 FOUND = {
     "sensor": "RS-Ruby-Lite-V2R",
     "axes": "flu",
-    "pose": {"x_m": 0, "y_m": 0, "height_m": 3.49, "tilt_x_deg": 0.075, "tilt_y_deg": 0.385, "yaw_deg": -90.28},
+    "pose": {"x_m": 0, "y_m": 0, "height_m": 3.49, "tilt_x_deg": 0.075, "tilt_y_deg": 0.385, "yaw_deg": -89.72},
     "carriageways": [{"y_m": [-16.5, -2.6], "cross_fall": 0.029}, {"y_m": [2.6, 16.5]}],
     "versions": {},
 }
+
+
+FOUND_CARRIAGEWAYS = [tuple(one["y_m"]) for one in FOUND["carriageways"]]
 
 
 def needs_scikit_learn():
@@ -332,6 +340,61 @@ def test_compare_takes_commission_and_labels_and_several_losses_at_once(tmp_path
     assert "--sensor: is missing" in refused(capsys, tmp_path, *words[:5])
 
 
+# --- Boxes of our own -------------------------------------------------------------------------------------------------
+
+
+def passing(frame):
+    """Vehicles on the left carriageway, which head towards -x, at other places in each frame."""
+    rng = np.random.default_rng(frame)
+    kinds = [("car", 4.3, 1.8, 1.5), ("van", 5.4, 2.0, 2.2), ("truck", 8.0, 2.5, 3.1), ("car", 4.0, 1.7, 1.45)]
+    x = np.array([-24.0, 9.0, 30.0, -48.0]) + rng.uniform(-6.0, 6.0, 4)
+    size = np.array([kind[1:] for kind in kinds])
+    return Vehicles(
+        frame=frame,
+        time_s=0.0,
+        vehicle_id=np.arange(4),
+        class_index=np.array([CLASSES.index(kind[0]) for kind in kinds], dtype=np.int8),
+        centre_m=np.column_stack([x, [8.0, 4.5, 11.5, 4.5], 0.5 * size[:, 2]]),
+        size_m=size,
+        heading_rad=np.full(4, np.pi),
+        lane=np.ones(4, dtype=np.int16),
+    )
+
+
+def test_boxes_are_fitted_to_what_was_scanned(tmp_path):
+    needs_scikit_learn()
+    pose = Pose(height_m=3.5, tilt_x=0.01, yaw=-0.5 * math.pi)
+    frames = [passing(frame) for frame in range(7)]
+    clouds = [scanned(vehicles, pose, sensor="RS-Ruby-Lite-V2R", detail="box") for vehicles in frames]
+    table = fit_boxes(clouds, ClassicalDetector(LATTICE, (0.0, 0.0)), [(-14.0, -2.5), (2.5, 14.0)])
+    assert len(table["frame"]) == 4 * len(frames)
+    write_columns(tmp_path / "boxes.csv", table)
+    found = read_labels(tmp_path / "boxes.csv")
+    for vehicles in frames:
+        boxes, of = found.vehicles(vehicles.frame), table["frame"] == vehicles.frame
+        away = np.linalg.norm(boxes.centre_m[:, None, :2] - vehicles.centre_m[None, :, :2], axis=-1)
+        assert sorted(away.argmin(axis=1).tolist()) == [0, 1, 2, 3]
+        truth = vehicles.select(away.argmin(axis=1))
+        assert boxes.class_name.tolist() == truth.class_name.tolist()
+        assert np.abs(np.sin(boxes.heading_rad)).max() < 0.05
+        assert (np.cos(boxes.heading_rad) < 0.0).all()  # right-hand traffic
+        for at, key in enumerate("LWH"):
+            known = np.array([key in one for one in table["measured"][of]])
+            np.testing.assert_allclose(boxes.size_m[known, at], truth.size_m[known, at], atol=0.25)
+        sure = np.isin(table["confidence"][of], ("A", "B"))
+        assert sure.sum() >= 3
+        np.testing.assert_allclose(boxes.centre_m[sure], truth.centre_m[sure], atol=0.4)
+
+
+def test_an_empty_road_has_no_boxes():
+    needs_scikit_learn()
+    pose = Pose(height_m=3.5, yaw=-0.5 * math.pi)
+    far = passing(1).select(np.zeros(4, dtype=bool))
+    clouds = [scanned(far, pose, sensor="RS-16")] * 3
+    detector = ClassicalDetector(beam_lattice(load_model("RS-16")), (0.0, 0.0))
+    assert {len(column) for column in fit_boxes(clouds, detector, [(2.5, 14.0)]).values()} == {0}
+
+
 # --- A real motorway --------------------------------------------------------------------------------------------------
 
 
@@ -360,3 +423,24 @@ def test_nine_in_ten_real_vehicles_are_found(detector, motorway, tmp_path, capsy
     assert given["vehicles"] > 60
     assert given["recall_0.3"] > 0.9
     assert given["false_alarms_0.3"] < (40 if detector == "classical" else 10)
+
+
+@needs_chengdu
+def test_boxes_fitted_to_a_real_motorway_are_those_fitted_before(motorway):
+    """Nine in ten of the sure ones within 75 m, as high, wide and long to a few centimetres."""
+    needs_scikit_learn()
+    paths = sorted((motorway / "clouds").iterdir())
+    read = RecordedClouds.of(paths, read_commission(motorway), (-100.0, -20.0, 100.0, 20.0), beams=True)
+    detector = ClassicalDetector(read.lattice, (0.0, 0.0), Imperfections(dropout=0.1))
+    table = fit_boxes(list(map(read, paths)), detector, FOUND_CARRIAGEWAYS)
+    frame = np.array([int(path.stem[2:]) for path in paths])[table["frame"]]
+    errors, sure = [], [row for row in csv.DictReader((motorway / "boxes.csv").open()) if row["confidence"] in "AB"]
+    for row in sure:
+        away = np.hypot(table["x_m"] - float(row["x_m"]), table["y_m"] - float(row["y_m"])) + 1e3 * (
+            frame != int(row["frame"])
+        )
+        at = away.argmin()
+        if away[at] < 1.5:
+            errors.append([table[key][at] - float(row[key]) for key in ("length_m", "width_m", "height_m")])
+    assert len(errors) > 0.9 * len(sure)
+    assert (np.abs(np.median(errors, axis=0)) < [0.2, 0.1, 0.05]).all()
