@@ -245,35 +245,21 @@ def _scan(subparsers) -> None:
     add("--format", choices=_CLOUD_FORMATS, help=of_folder)
 
 
-_COMMISSION = {"option": "--commission", "metavar": "DIR"}
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedOptions:
-    """Of recorded clouds where the sensor hangs, where is looked, and by which boxes a detector is judged.
-
-    Attributes
-    ----------
-    commission : str or None
-        Folder or commission.json of commission: the sensor and its place, in place of --axes, --pose and --sensor.
-    region : (float, ...) or None
-        Rectangle to look at [m, road frame]; by default 100 m all round, across 2 m beside known carriageways.
-    boxes : str or None
-        Labelled boxes to judge by, in the columns of vehicles.csv and the road frame; or SUSTechPOINTS' JSON or KITTI's
-        label texts, in the clouds' frame.
-    """
-
-    commission: str | None = setting(None, **_COMMISSION)
-    region: tuple[float, float, float, float] | None = setting(
-        None, low=-1e6, high=1e6, option="--region", metavar=("X0", "Y0", "X1", "Y1")
-    )
-    boxes: str | None = setting(None, option="--boxes", metavar="BOXES")
+_REGION = Setting(
+    kind=tuple[float, float, float, float],
+    low=-1e6,
+    high=1e6,
+    option="--region",
+    metavar=("X0", "Y0", "X1", "Y1"),
+    help="rectangle to look at [m, road frame]; by default 100 m all round, across 2 m beside known carriageways",
+)
 
 
 def recorded_settings() -> dict[str, Setting]:
     """The options of recorded clouds, by key."""
-    placed = {key: settings_of(ScoreOptions)[key] for key in ("axes", "pose")}
-    return {**placed, **settings_of(RecordedOptions)}
+    placed, compared = settings_of(ScoreOptions), settings_of(CompareOptions)
+    keys = "axes", "pose", "commission", "boxes"
+    return {"region": _REGION, **{key: (placed if key in ("axes", "pose") else compared)[key] for key in keys}}
 
 
 def _detect(subparsers) -> None:
@@ -470,8 +456,8 @@ class CompareOptions:
     points : tuple of str
         A recorded cloud, in a format that score reads; may be repeated.
     boxes : str
-        The labelled boxes, in the columns of vehicles.csv and the frame of the clouds, or of the road beside
-        --commission; or SUSTechPOINTS' JSON or KITTI's label texts, a file or a folder, in the frame of the clouds.
+        The labelled boxes, in the columns of vehicles.csv and the frame that the clouds are in or brought to; or
+        SUSTechPOINTS' JSON or KITTI's label texts, a file or a folder, in the frame of the clouds.
     frames : tuple of int or None
         For each cloud the number of its frame, if the boxes are of several frames.
     accept : tuple of str or None
@@ -481,7 +467,7 @@ class CompareOptions:
     distance_m : (float, float) or None
         Leave out vehicles nearer or farther than this.
     commission : str or None
-        Folder or commission.json of commission: the sensor and its place, in place of --sensor and --x to --yaw.
+        Folder or commission.json of commission: sensor, axes and pose, which no other option may give beside it.
     sensor : str or None
         Sensor model, or path of a beam table.
     rotation_hz : float or None
@@ -509,7 +495,7 @@ class CompareOptions:
 
     points: tuple[str, ...] = setting(option="--points", metavar="CLOUD")
     boxes: str = setting(option="--boxes", metavar="BOXES")
-    commission: str | None = setting(None, **_COMMISSION)
+    commission: str | None = setting(None, option="--commission", metavar="DIR")
     sensor: str | None = setting(None, option="--sensor", metavar="NAME")
     frames: tuple[int, ...] | None = setting(None, option="--frame", metavar="K")
     accept: tuple[str, ...] | None = setting(None, allowed=(FRAMES,), option="--accept")

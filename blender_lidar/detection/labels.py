@@ -40,19 +40,16 @@ def read_labels(path: str | Path, hung: Hung | None = None) -> Recording:
         Naming the file, the line or the entry.
     """
     path = Path(path)
-    if not path.is_dir() and (path.suffix.lower() not in _READERS or _is_table(path)):
+    if not path.is_dir() and path.suffix.lower() not in _READERS:
         return read_table(path)
     files = sorted(one for one in path.iterdir() if one.suffix.lower() in _READERS) if path.is_dir() else [path]
     if not files:
         raise MissingFileError(f"{path}: has no labels, .json of SUSTechPOINTS or .txt of KITTI")
     rows = []
     for file in files:
-        number, boxes = re.search("[0-9]{1,18}$", file.stem), list(_READERS[file.suffix.lower()](file))
-        if number is None and len(files) > 1:
-            raise InputError(f"{file}: its name does not end with the number of a frame, as in 000100{file.suffix}")
+        frame, boxes = frame_of(file), list(_READERS[file.suffix.lower()](file))
         named = all(box[0].isdigit() for box in boxes) and len({box[0] for box in boxes}) == len(boxes)
-        for at, (own, *box) in enumerate(boxes):
-            rows.append((int(number[0]) if number else 0, int(own) if named else at, *box))
+        rows += [(frame, int(own) if named else at, *box) for at, (own, *box) in enumerate(boxes)]
     if not rows:
         raise InputError(f"{path}: has no vehicle")
     table = dict(zip(("frame", "vehicle_id", "class", *_COLUMNS), map(np.array, zip(*rows, strict=True)), strict=True))
@@ -64,6 +61,14 @@ def read_labels(path: str | Path, hung: Hung | None = None) -> Recording:
         raise InputError(f"{path}: {error}") from error
 
 
+def frame_of(path: Path) -> int:
+    """The number of the frame at the end of a file's name; refused where there is none."""
+    number = re.search("[0-9]{1,18}$", path.name.partition(".")[0])
+    if number is None:
+        raise InputError(f"{path}: its name does not end with the number of a frame, as in 000100{path.suffix}")
+    return int(number[0])
+
+
 def _place(table: dict[str, np.ndarray], hung: Hung) -> None:
     """Bring boxes from the sensor's frame to the road's; they stay upright."""
     turn, centre = np.radians(table["heading_deg"]), np.column_stack([table[name] for name in _COLUMNS[:3]])
@@ -71,12 +76,6 @@ def _place(table: dict[str, np.ndarray], hung: Hung) -> None:
     centre, ahead = (in_frame(one, hung.axes, hung.at) for one in (centre, ahead))
     table |= dict(zip(_COLUMNS, centre.T, strict=False))
     table["heading_deg"] = np.degrees(np.arctan2(*(ahead - centre).T[1::-1]))
-
-
-def _is_table(path: Path) -> bool:
-    """Whether a text is none of KITTI's, whose lines have 15 or 16 words."""
-    first = next(iter(text_of(path).splitlines()), "") if path.suffix.lower() == ".txt" else ""
-    return bool(re.search("[,;\t]", first))
 
 
 def _sustechpoints(path: Path) -> Iterator[tuple[str | float, ...]]:

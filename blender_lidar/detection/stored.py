@@ -50,6 +50,7 @@ from .judge import (
     weights_of,
     within,
 )
+from .labels import frame_of
 from .pillars import PillarsDetector
 from .scores import CRITERIA, intervals
 
@@ -80,7 +81,7 @@ _FARTHEST = 1e9
 _RECORDED_REACH_M, _BESIDE_M = 100.0, 2.0  # how far is looked along, and beside the carriageways
 _FEWEST_CLOUDS = 5  # from which a background can be learnt
 _CROSSWISE = 50  # of fewer each is judged by a background of the others
-_AS_RECORDED = Imperfections(dropout=0.1)  # dark surfaces and leaves lose returns here and there
+AS_RECORDED = Imperfections(dropout=0.1)  # dark surfaces and leaves lose returns here and there
 _OF_PHASE = 20  # clouds tell well enough how the columns lie
 _OF_HEADERS = {
     "sensor": Setting(kind=str),
@@ -170,16 +171,14 @@ class RecordedClouds:
 
     def read(self, path: Path) -> tuple[PointCloud, int]:
         """A cloud, of which the points and perhaps the beams are known, and the number at the end of its name."""
-        frame = re.search("[0-9]{1,18}$", path.name.partition(".")[0])
-        if frame is None:
-            raise InputError(f"{path}: its name does not end with the number of a frame, as in sweep_000100.pcd")
+        frame = frame_of(path)
         points = sensor_points(path, self.hung.axes)
         xyz = in_frame(points, "rfu", self.hung.at)
         if self.lattice is None:
             cloud = PointCloud(xyz, *np.zeros((9, len(xyz))))
         else:
             cloud = on_beams(points, xyz, self.lattice, self.phase, str(path))
-        return cloud.select(((xyz[:, :2] >= self.low) & (xyz[:, :2] <= self.high)).all(axis=1)), int(frame[0])
+        return cloud.select(((xyz[:, :2] >= self.low) & (xyz[:, :2] <= self.high)).all(axis=1)), frame
 
     def __call__(self, path: Path) -> PointCloud:
         return self.read(path)[0]
@@ -252,7 +251,7 @@ def detect_in_clouds(
         low, high = (pose.position[:2] + side * clouds.sensor.range_gate_m for side in (-1.0, 1.0))
     else:
         clouds = RecordedClouds.of(paths, hung, region, beams=learns)
-        pose, sensor, losses = hung.pose, hung.sensor or "a sensor without a name", _AS_RECORDED
+        pose, sensor, losses = hung.pose, hung.sensor or "a sensor without a name", AS_RECORDED
         low, high = clouds.low, clouds.high
     advance, images = progress((1 + learns) * len(paths)), None
     if learns:
