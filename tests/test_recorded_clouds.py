@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import tests.research  # noqa: F401
 from blender_lidar.clouds.commissioned import Hung, read_commission
 from blender_lidar.clouds.files import in_own_frame, read_cloud, write_cloud
 from blender_lidar.clouds.rings import beam_phase, on_beams
@@ -25,6 +26,7 @@ from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.vehicles import CLASSES, Vehicles
+from roadside_detection import main as tables
 from tests.recorded_samples import CASTER, SENSOR, scanned, street
 from tests.refusals import refused
 from tests.small_scene import REGION, cli, done, write_scene
@@ -198,19 +200,32 @@ def test_detections_are_judged_by_boxes_within_the_rectangle(scans, tmp_path, ca
     assert np.abs(boxes_in(tmp_path / "found")[:, 1]).max() <= 15.0
     rows = (scans / "traffic.csv").read_text().splitlines()
     (tmp_path / "some.csv").write_text("\n".join([rows[0], *(row for row in rows[1:] if row.startswith("10,"))][:2]))
-    words = (scans / "pcd", *PLACED, "--boxes", tmp_path / "some.csv", "--out", tmp_path / "few", "--json")
+    words = (*words[:-7], "--boxes", tmp_path / "some.csv", "--out", tmp_path / "few", "--json")
     fewer = json.loads(done(capsys, "detect", *words)[0])
     assert fewer["frame_ids"] == [10]
     assert "7 of the 8 clouds have no boxes" in " ".join(fewer["notes"])
+    words = (scans / "npz", *CLASSICAL, "--boxes", scans / "traffic.csv", "--out", tmp_path / "npz", "--json")
+    assert json.loads(done(capsys, "detect", *words)[0])["mountings"]["given"]["recall_0.3"] > 0.7
 
 
 def test_boxes_of_other_frames_are_refused(scans, tmp_path, capsys):
     (tmp_path / "boxes.csv").write_text(
         "frame,vehicle_id,class,x_m,y_m,length_m,width_m,heading_deg\n900,1,car,0,5,4,2,0\n901,1,car,0,5,4,2,0\n"
     )
-    _, _, err = cli(
-        capsys, "detect", scans / "pcd", *PLACED, "--boxes", tmp_path / "boxes.csv", "--out", tmp_path / "x"
+    words = (
+        scans / "pcd",
+        *PLACED,
+        "--region",
+        -9,
+        0,
+        9,
+        9,
+        "--boxes",
+        tmp_path / "boxes.csv",
+        "--out",
+        tmp_path / "x",
     )
+    _, _, err = cli(capsys, "detect", *words)
     line = err.splitlines()[-1]
     assert not (tmp_path / "x").exists()
     assert "has the frames 900 to 901, and the clouds 5 to 40" in line
@@ -444,3 +459,14 @@ def test_boxes_fitted_to_a_real_motorway_are_those_fitted_before(motorway):
             errors.append([table[key][at] - float(row[key]) for key in ("length_m", "width_m", "height_m")])
     assert len(errors) > 0.9 * len(sure)
     assert (np.abs(np.median(errors, axis=0)) < [0.2, 0.1, 0.05]).all()
+
+
+@needs_chengdu
+def test_the_script_of_the_roadside_tables_finds_what_the_verb_finds(capsys):
+    needs_scikit_learn()
+    assert tables(["--chengdu", str(CHENGDU)]) == 0
+    rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+    whole = {row[0]: row for row in rows if row[1] == "0 to 100"}
+    assert set(whole) == {"pillars", "pillars, levelled", "classical"}
+    assert min(int(row[3].split()[0]) for row in whole.values()) > 90
+    assert {row[0] for row in rows} >= {"A", "B", "C"}

@@ -141,6 +141,6 @@ def _draw_bands(axes: Axes, result: Mapping) -> None:
     axes.set(xlabel="Distance [m], and vehicles", ylabel="Median absolute error [bits]", title="PE-VGOP, by distance")
     axes.grid(visible=True, axis="y")
     if drawn:
-        axes.legend()
+        axes.legend(fontsize=6.5)
     else:
         axes.text(0.5, 0.5, f"fewer than {_FEWEST} in each band", transform=axes.transAxes, ha="center", color=FAINT)
