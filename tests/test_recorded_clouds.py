@@ -133,6 +133,8 @@ def test_a_commission_says_all_and_must_be_there(tmp_path, capsys):
     assert "there is no such file" in refused(capsys, tmp_path, "detect", clouds, "--commission", tmp_path / "none")
     (folder / "commission.json").write_text("{")
     assert "is not JSON" in refused(capsys, tmp_path, "detect", clouds, "--commission", folder)
+    placed = ("detect", clouds, "--commission", commission(folder), "--region")
+    assert "allowed: two corners, the lower x and y first" in refused(capsys, tmp_path, *placed, 5, 5, 1, 9)
     assert "--region: is given without --pose" in refused(capsys, tmp_path, "detect", clouds, "--region", 0, 0, 1, 1)
 
 

@@ -251,7 +251,8 @@ def detect_in_clouds(
         low, high = (pose.position[:2] + side * clouds.sensor.range_gate_m for side in (-1.0, 1.0))
     else:
         clouds = RecordedClouds.of(paths, hung, region, beams=learns)
-        pose, sensor, losses = hung.pose, hung.sensor or "a sensor without a name", AS_RECORDED
+        sensor = "a sensor without a name" if hung.sensor is None else load_model(hung.sensor).name
+        pose, losses = hung.pose, AS_RECORDED
         low, high = clouds.low, clouds.high
     advance, images = progress((1 + learns) * len(paths)), None
     if learns:
