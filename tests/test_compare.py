@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.cli import main
+from blender_lidar.clouds.rings import table_rings
 from blender_lidar.errors import InputError
 from blender_lidar.files import write_columns
 from blender_lidar.metrics.vgop import occupancy, pe_vgop
@@ -30,8 +31,7 @@ from blender_lidar.studies.recorded import (
     Rays,
     RecordedFrame,
     crossing,
-    table_rings,
-    tabled_frames,
+    labelled_frames,
 )
 from blender_lidar.world.triangles import shape_names
 from tests.recorded_samples import CASTER, HEIGHT_M, SENSOR, scanned, street
@@ -115,7 +115,7 @@ def test_losses_are_those_that_scans_know():
     parts = perfect.xyz[perfect.vehicle_id < 0], lossy.xyz[lossy.vehicle_id >= 0]  # of the far road nothing is left
     frames = [frame_of(vehicles, SimpleNamespace(xyz=np.concatenate(parts)))]
     error = {
-        name: np.abs(compared(frames, replace(PLAIN, losses=losses))["error_bits"])
+        name: np.abs(compared(frames, replace(PLAIN, losses={"": losses}))["error_bits"])
         for name, losses in {"weak": weak, "none": Imperfections(), "any": Imperfections(dropout=0.3)}.items()
     }
     assert np.median(error["weak"]) < 0.005
@@ -125,7 +125,7 @@ def test_losses_are_those_that_scans_know():
 def test_shares_that_are_lost_by_chance_are_lost():
     frames = [frame_of(street(4), scanned(street(4)))]
     counts = {
-        losses: compared(frames, replace(PLAIN, losses=losses))["simulated_points"].sum()
+        losses: compared(frames, replace(PLAIN, losses={"": losses}))["simulated_points"].sum()
         for losses in (Imperfections(), Imperfections(dropout=0.3), Imperfections(glass_dropout=1.0))
     }
     whole, thinned, without_glass = counts.values()
@@ -167,7 +167,7 @@ TILTED = Pose(x_m=3.0, y_m=-2.0, height_m=4.1, tilt_x=math.radians(9.0), tilt_y=
 def in_table(clouds, boxes, sensor):
     """The comparison of clouds beside a table, from a tilted sensor."""
     return compare_frames(
-        tabled_frames(clouds, boxes, None), beam_lattice(load_model(sensor)), replace(PLAIN, pose=TILTED)
+        labelled_frames(clouds, boxes, None), beam_lattice(load_model(sensor)), replace(PLAIN, pose=TILTED)
     )
 
 
@@ -384,7 +384,7 @@ def table(tmp_path):
 
 def test_each_cloud_has_the_boxes_of_its_frame(table):
     clouds = [str(table.with_name(f"{name}.npz")) for name in "ab"]
-    first, second = tabled_frames(clouds, str(table), (2, 1))
+    first, second = labelled_frames(clouds, str(table), (2, 1))
     assert (first.name, first.boxes.shape.tolist(), second.boxes.shape.tolist()) == ("2", ["long_truck"], ["car"])
     assert second.boxes.centre_m.tolist() == [[10.0, 2.0, 0.75]]
     assert second.points.tolist() == [[10.0, 2.0, 1.0]]
@@ -402,4 +402,4 @@ def test_each_cloud_has_the_boxes_of_its_frame(table):
 def test_clouds_that_have_no_frame_are_refused(table, clouds, frames, message):
     paths = [str(table.with_name(f"{name}.npz")) for name in clouds]
     with pytest.raises(InputError, match=re.escape(message)):
-        list(tabled_frames(paths, str(table), frames))
+        list(labelled_frames(paths, str(table), frames))

@@ -64,6 +64,10 @@ class PointCloud:
     def __len__(self) -> int:
         return len(self.xyz)
 
+    def select(self, which: np.ndarray) -> PointCloud:
+        """Some of the returns, by a mask or by rows."""
+        return PointCloud(*(getattr(self, one.name)[which] for one in fields(self)))
+
 
 class Stands(Protocol):
     """What stands still and returns: `StandingScenery`, or Blender's own trees of the user's objects."""

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ..casting import resolve
+from ..clouds.commissioned import Hung, read_commission
 from ..clouds.files import check_steps
 from ..clouds.fit import accepted, cloud_misfit
 from ..errors import InputError, MissingExtraError, unknown_name
@@ -21,16 +22,18 @@ from ..sensors.beams import beam_lattice
 from ..sensors.imperfections import Imperfections
 from ..sensors.model import load_model
 from ..sensors.pose import Pose
-from ..studies.compare import Setup, aggregate, compare_frames
-from ..studies.recorded import tabled_frames
+from ..studies.compare import NO_LOSSES, Setup, aggregate, compare_frames
+from ..studies.recorded import labelled_frames
+from ..toml_table import settings_of
 from ..world.shapes import DETAILS
 from .options import new_folder, options_of
 from .parsers import CompareOptions
 from .progress import Progress
 from .report import note, say_result
 
-COMPARE_SCHEMA = 3
+COMPARE_SCHEMA = 4
 RESULT, TABLE, PICTURE = "compare.json", "compare.csv", "compare.png"
+_PLACED = "sensor", "x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"
 _LOSSES = ("range_noise_m", "dropout", "glass_dropout", "range_at_10_percent_m")
 
 
@@ -40,12 +43,13 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(asked.out or new_folder("compare"))
     check_folder(folder, "--out")
     check_unused(folder, "--out", "comparison")
-    setup, losses = setup_of(asked), asked.losses or "none"
-    lattice = beam_lattice(load_model(asked.sensor), asked.rotation_hz)
+    hung = hung_of(asked)
+    setup, sensor = setup_of(asked, hung), asked.sensor if hung is None else hung.sensor
+    lattice = beam_lattice(load_model(sensor), asked.rotation_hz)
     warned = []
 
     def fitting():
-        for frame in tabled_frames(asked.points, asked.boxes, asked.frames):
+        for frame in labelled_frames(asked.points, asked.boxes, asked.frames, hung):
             check_steps(frame.points, DEFAULT_CELL_M, frame.where)
             misfit = cloud_misfit(frame.points, frame.boxes, options=False)
             warned.extend(accepted(misfit, f"{frame.where}, {asked.boxes}", asked.accept))
@@ -61,11 +65,11 @@ def run(args: argparse.Namespace) -> int:
         "source": [list(asked.points), asked.boxes],
         "clouds": len(asked.points),
         "classes": setup.classes and list(setup.classes),
-        "sensor": asked.sensor,
+        "sensor": sensor,
         "pose": asdict(setup.pose),
         "beams": found.sensor,
         "caster": setup.caster,
-        "losses": losses,
+        "losses": list(setup.losses),
         "label_margin_m": list(setup.margin_m),
         "ground_clearance_m": setup.clearance_m,
         "left_out": found.left_out,
@@ -89,7 +93,15 @@ def run(args: argparse.Namespace) -> int:
     return say_result(args, text, result)
 
 
-def setup_of(asked: CompareOptions) -> Setup:
+def hung_of(asked: CompareOptions) -> Hung | None:
+    """How the sensor hangs as --commission says, with no option beside it that says it too; None without it."""
+    if asked.commission is None and asked.sensor is None:
+        raise InputError("--sensor: is missing; allowed: a sensor model or beam table, or --commission")
+    given = [settings_of(CompareOptions)[key].option for key in _PLACED if getattr(asked, key)]
+    return None if asked.commission is None else read_commission(asked.commission, given)
+
+
+def setup_of(asked: CompareOptions, hung: Hung | None = None) -> Setup:
     """How the clouds are to be simulated."""
     chosen = [name.strip() for name in asked.details.split(",")]
     for name in chosen:
@@ -102,8 +114,8 @@ def setup_of(asked: CompareOptions) -> Setup:
     return Setup(
         details=tuple(name for name in DETAILS if name in chosen),  # from the cheapest on
         caster=resolve(asked.caster, "--caster"),
-        pose=Pose(asked.x_m, asked.y_m, asked.height_m, *angles),
-        losses=losses_of(asked.losses),
+        pose=Pose(asked.x_m, asked.y_m, asked.height_m, *angles) if hung is None else hung.pose,
+        losses={text: losses_of(text) for text in asked.losses or (NO_LOSSES,)},
         margin_m=asked.label_margin_m or (0.0, 0.0, 0.0),
         clearance_m=asked.clearance_m,
         classes=asked.classes,
@@ -111,10 +123,10 @@ def setup_of(asked: CompareOptions) -> Setup:
     )
 
 
-def losses_of(text: str | None) -> Imperfections:
-    """The losses that `text` names, such as ``"dropout=0.05,range_at_10_percent_m=50"``; nothing is lost by default."""
+def losses_of(text: str) -> Imperfections:
+    """The losses that `text` names, such as ``"dropout=0.05,range_at_10_percent_m=50"``, or none."""
     given = {}
-    for part in text.split(",") if text else ():
+    for part in text.split(",") if text != NO_LOSSES else ():
         name, _, number = part.partition("=")
         if name.strip() not in _LOSSES:
             raise unknown_name(name.strip(), _LOSSES, "loss", "--losses")

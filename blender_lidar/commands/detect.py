@@ -11,6 +11,7 @@ from contextlib import ExitStack, closing
 from dataclasses import asdict
 from pathlib import Path
 
+from ..clouds.commissioned import Hung, read_commission
 from ..detection.classical import ClassicalDetector, dbscan_class
 from ..detection.files import Poses, write_detected, write_kitti_labels
 from ..detection.judge import (
@@ -25,6 +26,7 @@ from ..detection.judge import (
     judging_frames,
     weights_of,
 )
+from ..detection.labels import read_labels
 from ..detection.pillars import PillarsDetector, load_weights
 from ..detection.scores import CRITERIA
 from ..detection.stored import (
@@ -32,6 +34,7 @@ from ..detection.stored import (
     dataset_result,
     detect_in_clouds,
     is_dataset,
+    judge_in_clouds,
     judge_on_dataset,
     read_dataset,
 )
@@ -52,8 +55,9 @@ from ..scene.site import Site, prepare
 from ..scoring.evaluation import Evaluator, workplace_of
 from ..toml_table import settings_of
 from ..traffic.boxes import DetectedBoxes
+from ..traffic.vehicles import counted
 from .options import default_folder, given_options, layout_from, new_folder, scenario_from
-from .parsers import ScoreOptions
+from .parsers import recorded_settings
 from .progress import Progress
 from .report import note, say_result
 
@@ -66,8 +70,8 @@ def run(args: argparse.Namespace) -> int:
     place = Path(args.scene)
     if place.is_dir() and args.scene not in shipped_scenes():
         return (_run_dataset if is_dataset(place) else _run_clouds)(args, place)
-    if args.axes is not None or args.pose is not None:
-        raise InputError(f"--axes, --pose: are options for folders of recorded clouds, but {args.scene} is a scene")
+    if given := [f"--{key}" for key in recorded_settings() if getattr(args, key) is not None]:
+        raise InputError(f"{', '.join(given)}: for folders of recorded clouds, but {args.scene} is a scene")
     check_detector(args.detector)
     scenario = scenario_from(args)
     check_fits_detectors(scenario)
@@ -226,19 +230,36 @@ def _run_clouds(args: argparse.Namespace, place: Path) -> int:
     if not is_ours(args.detector):
         text = f"allowed with a folder of clouds: {' or '.join(DETECTORS)}; to judge a file of detections give"
         raise InputError(f"--detector: {args.detector}: {text} detect SCENE or DATASET --detector FILE")
-    given = given_options(args, {key: settings_of(ScoreOptions)[key] for key in ("axes", "pose")})
-    if "axes" in given and "pose" not in given:
-        raise InputError("--axes: is given without --pose; allowed: both, for clouds of a recording")
-    _refuse_options(args, "a folder of clouds", tuple(given))
+    asked = given_options(args, recorded_settings())
+    hung, of_boxes = _hung(args, asked), ("accept", "json") if "boxes" in asked else ()
+    _refuse_options(args, "a folder of clouds", (*recorded_settings(), *of_boxes, *(["sensor"] if hung else [])))
+    labels = read_labels(asked["boxes"], hung).vehicles_alone if "boxes" in asked else None
     folder = _folder(args, lambda: new_folder("detections"))
     with ExitStack() as stack:
-        found, pose, notes = detect_in_clouds(place, args.detector, _workers(args), _progress(stack), **given)
+        found = detect_in_clouds(place, args.detector, _workers(args), _progress(stack), hung, asked.get("region"))
+    if labels is not None:
+        judged = judge_in_clouds(found, labels, asked["boxes"], args.accept)
+        result = {"clouds": place.resolve().name, "detector": args.detector, **judged}
+        _write(folder, {"": (found.boxes, found.pose)}, result)
+        return _print(args, folder, result, f"{counted(result['frames'], 'frame')}, boxes of {asked['boxes']}")
     make_folder(folder, "--out")
-    write_detected(folder / "detections.csv", found)
-    write_kitti_labels(folder / "label_2", found, pose)
-    print(f"{folder}: {sum(map(len, found.values())):,} boxes in {len(found)} clouds ({args.detector})")
-    print("\n".join(map(as_sentence, notes)), end="\n" if notes else "")
+    write_detected(folder / "detections.csv", found.boxes)
+    write_kitti_labels(folder / "label_2", found.boxes, found.pose)
+    print(f"{folder}: {sum(map(len, found.boxes.values())):,} boxes in {len(found.boxes)} clouds ({args.detector})")
+    print("\n".join(map(as_sentence, found.notes)), end="\n" if found.notes else "")
     return 0
+
+
+def _hung(args: argparse.Namespace, asked: Mapping) -> Hung | None:
+    """How the sensor of recorded clouds hangs; None for clouds of scan."""
+    given = [f"--{key}" for key in ("axes", "pose", "sensor", "region") if getattr(args, key) is not None]
+    if "commission" in asked:
+        return read_commission(asked["commission"], [option for option in given if option != "--region"])
+    if "pose" in asked:
+        return Hung(asked.get("axes", "rfu"), asked["pose"], args.sensor)
+    if given:
+        raise InputError(f"{given[0]}: is given without --pose; allowed: both, for clouds of a recording")
+    return None
 
 
 def _refuse_options(args: argparse.Namespace, what: str, taken: Sequence[str] = ()) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from ..names import CASTERS, CLOUD_SUFFIXES, DATASET_LAYOUTS, DEFAULT_CELL_M, FRAMES, METRIC_NAMES, VIEWS
 from ..scene.settings import TrafficSettings
-from ..toml_table import setting, settings_of
+from ..toml_table import Setting, setting, settings_of
 from .options import SEARCH_OPTIONS, Once, add_moments, add_option, add_options, add_pose, add_scene
 
 SUSTECHPOINTS = "sustechpoints"
@@ -246,6 +246,25 @@ def _scan(subparsers) -> None:
     add("--format", choices=_CLOUD_FORMATS, help=of_folder)
 
 
+_REGION = Setting(
+    kind=tuple[float, float, float, float],
+    low=-1e6,
+    high=1e6,
+    fits=lambda corners: corners[0] < corners[2] and corners[1] < corners[3],
+    form="two corners, the lower x and y first",
+    option="--region",
+    metavar=("X0", "Y0", "X1", "Y1"),
+    help="rectangle to look at [m, road frame]; by default 100 m all round, across 2 m beside known carriageways",
+)
+
+
+def recorded_settings() -> dict[str, Setting]:
+    """The options of recorded clouds, by key."""
+    placed, compared = settings_of(ScoreOptions), settings_of(CompareOptions)
+    keys = "axes", "pose", "commission", "boxes"
+    return {"region": _REGION, **{key: (placed if key in ("axes", "pose") else compared)[key] for key in keys}}
+
+
 def _detect(subparsers) -> None:
     parser = _verb(
         subparsers,
@@ -255,20 +274,24 @@ def _detect(subparsers) -> None:
         "precision and average precision with paired intervals, the boxes as CSV and as KITTI's labels, and a picture "
         "of one frame; of several LiDARs each one alone, their boxes merged, and their points merged. Given a data "
         "set, judge the detector on its validation scans, each from its mounting. Given a "
-        "folder of clouds, those of scan or with --pose of a recording, write the boxes that the detector finds.",
+        "folder of clouds, those of scan or with --pose or --commission of a recording, write the boxes that the "
+        "detector finds, and with --boxes judge them.",
         "i80 --height 4.5 --tilt-x 23",
         "i80 --height 4.5 --tilt-x 23 --detector classical",
         "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
         "i80_set --detector my_label_2",
         "clouds --out boxes",
         "sweeps --axes flu --pose 0 0 4.1 0 0 0 --out boxes",
+        "sweeps --commission found --detector classical --boxes boxes.csv",
     )
     add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster"))
     add_pose(parser)
     _detector(parser, "pillars")
-    clouds = parser.add_argument_group("a folder of recorded clouds, whose names end with the numbers of their frames")
-    for key in ("axes", "pose"):
-        add_option(clouds, settings_of(ScoreOptions)[key], key)
+    clouds = parser.add_argument_group(
+        "a folder of recorded clouds, whose names end with the numbers of their frames; --sensor names theirs"
+    )
+    for key, declared in recorded_settings().items():
+        add_option(clouds, declared, key)
     _output(parser)
 
 
@@ -436,7 +459,8 @@ class CompareOptions:
     points : tuple of str
         A recorded cloud, in a format that score reads; may be repeated.
     boxes : str
-        The labelled boxes, in the columns of vehicles.csv and the frame of the clouds.
+        The labelled boxes, in the columns of vehicles.csv and the frame that the clouds are in or brought to; or
+        SUSTechPOINTS' JSON or KITTI's label texts, a file or a folder, in the frame of the clouds.
     frames : tuple of int or None
         For each cloud the number of its frame, if the boxes are of several frames.
     accept : tuple of str or None
@@ -445,7 +469,9 @@ class CompareOptions:
         Label of the vehicles to compare; may be repeated; by default all classes that can be simulated.
     distance_m : (float, float) or None
         Leave out vehicles nearer or farther than this.
-    sensor : str
+    commission : str or None
+        Folder or commission.json of commission: sensor, axes and pose, which no other option may give beside it.
+    sensor : str or None
         Sensor model, or path of a beam table.
     rotation_hz : float or None
         Rotation rate of the sensor.
@@ -455,8 +481,9 @@ class CompareOptions:
         Orientation of the sensor in the frame of the clouds.
     details : str
         Levels of detail of the simulated vehicles, separated by commas.
-    losses : str or None
-        Lost returns of the simulated sensor, by the keys of a scene's [sensor], such as dropout=0.05; by default none.
+    losses : tuple of str or None
+        Lost returns of the simulated sensor, by the keys of a scene's [sensor], such as dropout=0.05, or none, which is
+        the default; may be repeated to compare them.
     label_margin_m : (float, float, float) or None
         How much longer, wider and higher the labels are than their vehicles; by default 0.
     clearance_m : float
@@ -470,8 +497,9 @@ class CompareOptions:
     """
 
     points: tuple[str, ...] = setting(option="--points", metavar="CLOUD")
-    boxes: str = setting(option="--boxes", metavar="BOXES.csv")
-    sensor: str = setting(option="--sensor", metavar="NAME")
+    boxes: str = setting(option="--boxes", metavar="BOXES")
+    commission: str | None = setting(None, option="--commission", metavar="DIR")
+    sensor: str | None = setting(None, option="--sensor", metavar="NAME")
     frames: tuple[int, ...] | None = setting(None, option="--frame", metavar="K")
     accept: tuple[str, ...] | None = setting(None, allowed=(FRAMES,), option="--accept")
     classes: tuple[str, ...] | None = setting(None, option="--class", metavar="NAME")
@@ -484,7 +512,7 @@ class CompareOptions:
     tilt_y_deg: float = setting(0.0, low=-90.0, high=90.0, option="--tilt-y", metavar="DEG")
     yaw_deg: float = setting(0.0, low=-360.0, high=360.0, option="--yaw", metavar="DEG")
     details: str = setting("body", option="--details", metavar="NAMES")
-    losses: str | None = setting(None, option="--losses", metavar="NAME=VALUE,...")
+    losses: tuple[str, ...] | None = setting(None, option="--losses", metavar="NAME=VALUE,...")
     label_margin_m: tuple[float, float, float] | None = setting(
         None, low=0.0, high=1.0, option="--label-margin", metavar=("L", "W", "H")
     )
@@ -497,15 +525,16 @@ class CompareOptions:
 def _compare(subparsers) -> None:
     parser = _verb(
         subparsers,
-        "compare --points CLOUD --boxes BOXES.csv --sensor NAME",
+        "compare --points CLOUD --boxes BOXES --sensor NAME",
         "a recorded, labelled cloud beside its simulation",
         "Compare recorded vehicles with simulated ones: the points of each labelled vehicle in a recorded cloud, and "
         "the points that the simulated sensor gets from it at the same place.",
         "--points sweep.pcd --boxes boxes.csv --sensor RS-80 --height 4.1 --tilt-x 9",
         "--points sweep.pcd --boxes boxes.csv --sensor RS-80 --height 4.1 --distance 10 50 --losses dropout=0.05",
+        "--points sweep.pcd --boxes labels --commission found --losses none --losses range_at_10_percent_m=160",
     )
     groups = {
-        "what is compared": ("points", "boxes", "frames", "accept", "classes", "distance_m"),
+        "what is compared": ("points", "boxes", "commission", "frames", "accept", "classes", "distance_m"),
         "sensor": ("sensor", "rotation_hz", "x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"),
         "simulation": ("details", "losses", "label_margin_m", "clearance_m", "caster"),
         "output": ("out", "json"),

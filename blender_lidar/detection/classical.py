@@ -114,9 +114,13 @@ class ClassicalDetector:
         """The vehicles of one frame, and nothing for `notes`."""
         return early_fusion([self], [self.foreground(cloud)]), None
 
+    def nearer(self, cloud: PointCloud) -> np.ndarray:
+        """Which points lie before the background of their beams, (n,) bool."""
+        return cloud.range_m < self._background[self.beam(cloud)] - self._nearer_m
+
     def foreground(self, cloud: PointCloud) -> tuple[np.ndarray, Ground]:
         """The points before the background, (n, 3) with heights from the ground [m], and the ground."""
-        nearer = cloud.range_m < self._background[self.beam(cloud)] - self._nearer_m
+        nearer = self.nearer(cloud)
         from_lidar = cloud.xyz - [*self.lidar_xy, 0.0]
         ground = fit_ground(from_lidar)
         return np.column_stack([cloud.xyz[nearer, :2], ground.above(from_lidar[nearer])]), ground

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,8 @@ _KINDS_OF_NAMES = {
     **dict.fromkeys(("motorcycle", "cyclist", "bicycle"), _SMALL),
 }
 """What detectors of KITTI and nuScenes call vehicles, in small letters."""
-_NO_VEHICLES = ("pedestrian", "person_sitting", "traffic_cone", "barrier", "misc", "dontcare")  # left out
+NO_VEHICLES = ("pedestrian", "person_sitting", "traffic_cone", "barrier", "misc", "dontcare")
+NO_VEHICLES += ("unknown", "cone", "trafficcone")  # all left out
 _PLACE, _SIZE = Column("a number of metres, -1e9 to 1e9", -1e9, 1e9), Column("more than 0, up to 1000", 1e-3, 1e3)
 _COLUMNS = {
     "frame": Column("a whole number", whole=True),
@@ -82,10 +83,10 @@ def _pose(poses: Poses, number: int, where: str | Path) -> Pose:
 def _kind(name: str, where: str) -> int | None:
     """The kind that a name says; None for what is no vehicle."""
     name = name.strip().lower()
-    if name in _NO_VEHICLES:
+    if name in NO_VEHICLES:
         return None
     if name not in _KINDS_OF_NAMES:
-        raise unknown_name(name, (*_KINDS_OF_NAMES, *_NO_VEHICLES), "class", where)
+        raise unknown_name(name, (*_KINDS_OF_NAMES, *NO_VEHICLES), "class", where)
     return _KINDS_OF_NAMES[name]
 
 
@@ -148,7 +149,7 @@ def kitti_camera(boxes: DetectedBoxes | Vehicles, pose: Pose) -> tuple[np.ndarra
     return bottom, wrap_angle(pose.yaw - boxes.heading_rad)
 
 
-def _from_kitti_camera(bottom: np.ndarray, height: np.ndarray, rotation_y: np.ndarray, pose: Pose):
+def from_kitti_camera(bottom: np.ndarray, height: np.ndarray, rotation_y: np.ndarray, pose: Pose):
     """The inverse of `kitti_camera`: box centres [m] and headings [rad] in the road frame."""
     cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
     right, down, ahead = bottom.T
@@ -188,25 +189,33 @@ def _read_kitti(folder: Path, poses: Poses) -> dict[int, DetectedBoxes]:
 
 
 def _kitti_boxes(path: Path, pose: Pose) -> DetectedBoxes:
-    rows = []
-    for line, text in enumerate(_text(path).splitlines(), start=1):
-        words = text.split()
-        if not words:
-            continue
-        if len(words) != 16:
-            raise InputError(f"{path}:{line}: {len(words)} fields; allowed: 16, the last is the score")
-        kind = _kind(words[0], f"{path}:{line}")
-        if kind is None:
-            continue
-        height, width, length, x, y, z, turn, score = (_number(word, f"{path}:{line}") for word in words[8:])
-        rows.append((x, y, z, length, width, height, turn, kind, score))
-        _check(rows[-1], f"{path}:{line}")
+    rows = [
+        (x, y, z, length, width, height, turn, kind, score)
+        for where, name, (height, width, length, x, y, z, turn, score) in kitti_lines(path, (16,))
+        if (kind := _kind(name, where)) is not None
+    ]
     boxes = boxes_of_rows(rows)
-    centre, heading = _from_kitti_camera(boxes.centre_m, boxes.size_m[:, 2], boxes.heading_rad, pose)
+    centre, heading = from_kitti_camera(boxes.centre_m, boxes.size_m[:, 2], boxes.heading_rad, pose)
     return DetectedBoxes(centre, boxes.size_m, heading, boxes.kind, boxes.confidence)
 
 
-def _text(path: Path) -> str:
+def kitti_lines(path: Path, fields: Sequence[int]) -> Iterator[tuple[str, str, list[float]]]:
+    """Of each line of a label text where it is, the type, and the numbers of the box, checked; a score where there is.
+
+    `fields` are how many words a line may have.
+    """
+    for line, text in enumerate(text_of(path).splitlines(), start=1):
+        words, where = text.split(), f"{path}:{line}"
+        if words and len(words) not in fields:
+            last = ", the last is the score" if 16 in fields else ""
+            raise InputError(f"{where}: {len(words)} fields; allowed: {' or '.join(map(str, fields))}{last}")
+        if words and words[0].lower() not in NO_VEHICLES:
+            height, width, length, *rest = numbers = [_number(word, where) for word in words[8:]]
+            _check((*rest[:3], length, width, height, *rest[3:4], 0, *(rest[4:] or [1.0])), where)
+            yield where, words[0], numbers
+
+
+def text_of(path: Path) -> str:
     with reading(path, "a text file"):
         try:
             return read_text(path)
@@ -235,7 +244,7 @@ _FRAME_AT_END = re.compile(r"(?:.*[^0-9A-Za-z])?([0-9]{1,18})")
 
 
 def _read_nuscenes(path: Path) -> dict[int, DetectedBoxes]:
-    text = _text(path)
+    text = text_of(path)
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -12,23 +12,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..clouds.commissioned import Hung
 from ..clouds.files import LIDARS, READERS, read_cloud, read_points
 from ..clouds.fit import accepted, detections_misfit, in_frame
+from ..clouds.rings import beam_phase, on_beams
 from ..clouds.scan import PointCloud
 from ..errors import InputError
 from ..road.straight import StraightRoad, road_map
 from ..scene.mounting import COORDINATES, MOUNTED, mounting_from
 from ..scene.observation import CountedFrame
+from ..scene.provenance import versions
 from ..scene.region import Region, region_of, region_within
 from ..scene.settings import RegionSettings, SensorSettings
 from ..scene.site import lattice_of
-from ..sensors.beams import BeamLattice
+from ..sensors.beams import BeamLattice, beam_lattice
+from ..sensors.imperfections import Imperfections
 from ..sensors.model import load_model, model_names
 from ..sensors.pose import Pose
 from ..toml_table import Setting, TomlTable
 from ..traffic.boxes import DetectedBoxes
 from ..traffic.source import Column
-from ..traffic.vehicles import CLASSES, Vehicles
+from ..traffic.vehicles import CLASSES, Recording, Vehicles
 from .classical import ClassicalDetector
 from .dataset import VAL
 from .dataset_files import DATASET, SCANS, UNFINISHED, WHOLE, file_name, read_boxes, read_columns, read_json
@@ -46,6 +50,7 @@ from .judge import (
     weights_of,
     within,
 )
+from .labels import frame_of
 from .pillars import PillarsDetector
 from .scores import CRITERIA, intervals
 
@@ -73,8 +78,11 @@ _FARTHEST = 1e9
 
 # --- Clouds of one mounting -------------------------------------------------------------------------------------------
 
-_RECORDED_REACH_M = 100.0
+_RECORDED_REACH_M, _BESIDE_M = 100.0, 2.0  # how far is looked along, and beside the carriageways
 _FEWEST_CLOUDS = 5  # from which a background can be learnt
+_CROSSWISE = 50  # of fewer each is judged by a background of the others
+AS_RECORDED = Imperfections(dropout=0.1)  # dark surfaces and leaves lose returns here and there
+_OF_PHASE = 20  # clouds tell well enough how the columns lie
 _OF_HEADERS = {
     "sensor": Setting(kind=str),
     "rotation_hz": Setting(above=0.0),
@@ -134,28 +142,75 @@ class StoredClouds:
         return self.read(path)[0]
 
 
-class RecordedClouds(NamedTuple):
-    """Clouds of a recording by their paths, with axes and the pose of the sensor as for `clouds.fit.in_frame`."""
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedClouds:
+    """The clouds of a recording, by their paths, of which points within a rectangle from `low` to `high` are looked at.
 
-    axes: str
-    at: Sequence[float]
+    With a `lattice` and the `phase` of its columns, as of `clouds.rings.beam_phase`, each point has its beam.
+    """
 
-    @property
-    def pose(self) -> Pose:
-        """Where the sensor hangs, in the road frame."""
-        return Pose(*self.at[:3], *np.radians(self.at[3:]).tolist())
+    hung: Hung
+    low: np.ndarray
+    high: np.ndarray
+    lattice: BeamLattice | None = None
+    phase: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, paths: Sequence[Path], hung: Hung, region: Sequence[float] | None, *, beams: bool) -> RecordedClouds:
+        """Those of a `region`, two corners; by default 100 m all round, across only 2 m beside known carriageways."""
+        at = hung.pose.position[:2]
+        low, high = at - _RECORDED_REACH_M, at + _RECORDED_REACH_M
+        if hung.carriageways:
+            low[1], high[1] = np.min(hung.carriageways) - _BESIDE_M, np.max(hung.carriageways) + _BESIDE_M
+        if region is not None:
+            low, high = np.array(region[:2]), np.array(region[2:])
+        if not beams:
+            return cls(hung, low, high)
+        lattice, some = beam_lattice(load_model(hung.sensor)), paths[:: len(paths) // _OF_PHASE + 1]
+        return cls(hung, low, high, lattice, beam_phase((sensor_points(path, hung.axes) for path in some), lattice))
 
     def read(self, path: Path) -> tuple[PointCloud, int]:
-        """A cloud, of which the points alone are known, and the number at the end of its name."""
-        frame = re.search("[0-9]{1,18}$", path.name.partition(".")[0])
-        if frame is None:
-            raise InputError(f"{path}: its name does not end with the number of a frame, as in sweep_000100.pcd")
-        xyz = in_frame(read_points(path)[0], self.axes, self.at)
-        return PointCloud(xyz, *np.zeros((9, len(xyz)))), int(frame[0])
+        """A cloud, of which the points and perhaps the beams are known, and the number at the end of its name."""
+        frame = frame_of(path)
+        points = sensor_points(path, self.hung.axes)
+        xyz = in_frame(points, "rfu", self.hung.at)
+        if self.lattice is None:
+            cloud = PointCloud(xyz, *np.zeros((9, len(xyz))))
+        else:
+            cloud = on_beams(points, xyz, self.lattice, self.phase, str(path))
+        return cloud.select(((xyz[:, :2] >= self.low) & (xyz[:, :2] <= self.high)).all(axis=1)), frame
+
+    def __call__(self, path: Path) -> PointCloud:
+        return self.read(path)[0]
 
 
-def _look(detector: Detector, clouds: StoredClouds | RecordedClouds, path: Path) -> tuple[int, DetectedBoxes, Any]:
-    """The frame of a cloud, its detections, and what the notes need."""
+def sensor_points(path: Path, axes: str) -> np.ndarray:
+    """Points of a recorded cloud from its sensor, x to the right and y ahead, (n, 3) [m]; a zero is no return."""
+    points = in_frame(read_points(path)[0], axes, None)
+    return points[points.any(axis=1)]
+
+
+class FoundInClouds(NamedTuple):
+    """What a detector found in clouds: boxes by frame, and the LiDAR's pose in the road frame.
+
+    It looked within the rectangle from `low` to `high`, x and y [m].
+    """
+
+    boxes: Mapping[int, DetectedBoxes]
+    pose: Pose
+    sensor: str
+    low: np.ndarray
+    high: np.ndarray
+    notes: Sequence[str]
+
+
+def _look(
+    detector: Detector, clouds: StoredClouds | RecordedClouds, images: np.ndarray | None, item: tuple[int, Path]
+) -> tuple[int, DetectedBoxes, Any]:
+    """The frame of a cloud, its detections, and what the notes need; learnt from the range `images` of the others."""
+    row, path = item
+    if images is not None:
+        detector.learn(np.delete(images, row, axis=0))
     cloud, frame = clouds.read(path)
     return frame, *detector.detect(cloud)
 
@@ -165,52 +220,100 @@ def detect_in_clouds(
     name: str,
     workers: int,
     progress: Progress,
-    axes: str = "rfu",
-    pose: Sequence[float] | None = None,
-) -> tuple[dict[int, DetectedBoxes], Pose, Sequence[str]]:
+    hung: Hung | None = None,
+    region: Sequence[float] | None = None,
+) -> FoundInClouds:
     """What a detector of ours finds in the NPZ clouds of a folder, as ``scan --frame-ids`` writes them.
 
-    The classical one learns the background from them. With a `pose` they are a recording's, of any format, in the
-    frame of its sensor, as for `clouds.fit.in_frame`.
-
-    Returns
-    -------
-    found : dict of int to DetectedBoxes
-        By frame.
-    pose : Pose
-        In the road frame.
-    notes : sequence of str
+    With `hung` they are a recording's, of any format, in the frame of its sensor, and it looks at the rectangle of
+    `RecordedClouds.of`. The classical detector learns the background from the clouds. It is judged crosswise, each by
+    all others, where there are fewer than 50, so that none teaches its own; of more, one hardly matters.
 
     Raises
     ------
     InputError
-        For clouds that cannot be read or are not of one mounting.
+        For clouds that cannot be read or are not of one mounting; for the classical detector where the sensor is not
+        known, or its rings are not those of a cloud.
     """
-    kinds = (".npz",) if pose is None else tuple(READERS)
+    kinds = (".npz",) if hung is None else tuple(READERS)
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds)
     learns = name == ClassicalDetector.name
-    if learns and pose is not None:
-        raise InputError(f"--detector: {name} needs rings; allowed with recorded clouds: {PillarsDetector.name}")
+    if learns and hung is not None and hung.sensor is None:
+        raise InputError(f"--detector: {name} needs rings; give --sensor NAME, or --detector {PillarsDetector.name}")
     if len(paths) < (_FEWEST_CLOUDS if learns else 1):
         few = f"has {len(paths)} {', '.join(kinds)} clouds"
-        few += ", as scan --frame-ids writes them; a recording needs --pose" * (pose is None)
+        few += ", as scan --frame-ids writes them; a recording needs --pose or --commission" * (hung is None)
         wanted = f"{_FEWEST_CLOUDS} or more, to learn the empty scene from" if learns else "at least one"
         raise InputError(f"{folder}: {few}; allowed: {wanted}")
-    clouds = StoredClouds.of(paths[0]) if pose is None else RecordedClouds(axes, pose)
-    at, advance = clouds.pose.position[:2], progress((1 + learns) * len(paths))
-    if learns:
-        detector = ClassicalDetector(clouds.lattice, tuple(at), clouds.sensor.imperfections)
-        detector.learn(of_each(partial(range_image, detector, clouds), paths, workers, advance))
+    if hung is None:
+        clouds = StoredClouds.of(paths[0])
+        pose, sensor, losses = clouds.pose, clouds.lattice.model.name, clouds.sensor.imperfections
+        low, high = (pose.position[:2] + side * clouds.sensor.range_gate_m for side in (-1.0, 1.0))
     else:
-        sensor, reach = "a sensor without a name", _RECORDED_REACH_M
-        if pose is None:
-            sensor, reach = clouds.lattice.model.name, clouds.sensor.range_gate_m
-        detector = PillarsDetector(sensor, clouds.pose, at - reach, at + reach, weights_of(name))
-    frames, boxes, seen = zip(*of_each(partial(_look, detector, clouds), paths, workers, advance), strict=True)
+        clouds = RecordedClouds.of(paths, hung, region, beams=learns)
+        sensor = "a sensor without a name" if hung.sensor is None else load_model(hung.sensor).name
+        pose, losses = hung.pose, AS_RECORDED
+        low, high = clouds.low, clouds.high
+    advance, images = progress((1 + learns) * len(paths)), None
+    if learns:
+        detector = ClassicalDetector(clouds.lattice, tuple(pose.position[:2]), losses)
+        images = np.array(of_each(partial(range_image, detector, clouds), paths, workers, advance))
+        if len(paths) >= _CROSSWISE:
+            detector.learn(images)
+            images = None
+    else:
+        detector = PillarsDetector(sensor, pose, low, high, weights_of(name))
+    look = partial(_look, detector, clouds, images)
+    frames, boxes, seen = zip(*of_each(look, list(enumerate(paths)), workers, advance), strict=True)
     if len(set(frames)) < len(frames):
         twice = next(frame for row, frame in enumerate(frames) if frame in frames[:row])
         raise InputError(f"{folder}: frame {twice} has several clouds; allowed: one of each frame")
-    return dict(zip(frames, boxes, strict=True)), clouds.pose, detector.notes(seen)
+    boxes = boxes if hung is None else [within(one, low, high) for one in boxes]
+    found = dict(zip(frames, boxes, strict=True))
+    return FoundInClouds(found, pose, sensor, low, high, detector.notes(seen))
+
+
+def judge_in_clouds(
+    found: FoundInClouds, labels: Recording, where: str, accept: Sequence[str] | None
+) -> dict[str, object]:
+    """What was found in clouds, judged by labelled boxes, for a result file, as `judge.detection_result`.
+
+    Frames that have no boxes are left out. Boxes count where the detector looked, and there what is not labelled is a
+    false alarm. For the intervals each frame is a block. `where` names the labels.
+
+    Raises
+    ------
+    InputError
+        For labels of other frames, or that do not fit unless that is in `accept`.
+    """
+    numbers = [number for number in found.boxes if number in labels.frames]
+    if not numbers:
+        ends = f"{labels.frames[0]} to {labels.frames[-1]}, and the clouds {min(found.boxes)} to {max(found.boxes)}"
+        raise InputError(f"--boxes: {where}: has the frames {ends}; allowed: boxes of frames of the clouds")
+    boxes, vehicles = [found.boxes[number] for number in numbers], [labels.vehicles(number) for number in numbers]
+    warnings = accepted(detections_misfit(boxes, vehicles), where, accept)
+    (x0, y0), (x1, y1) = found.low, found.high
+    region = region_within([np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])])
+    frames, xy = [CountedFrame(one, region.holds(one)) for one in vehicles], tuple(found.pose.position[:2])
+    judged, notes = judged_boxes(boxes, frames, region, xy, None), [*found.notes, _UNLABELLED, _BY_FRAME]
+    if left := len(found.boxes) - len(numbers):
+        notes.append(f"{left} of the {len(found.boxes)} clouds have no boxes and are not judged")
+    ends = intervals(judged.matches, np.arange(len(numbers)), seed=1)
+    return {
+        "sensor": found.sensor,
+        "region": {"low_m": found.low.tolist(), "high_m": found.high.tolist()},
+        "criteria": [criterion.name for criterion in CRITERIA],
+        "frames": len(numbers),
+        "frame_ids": numbers,
+        "mountings": {"given": {**measured_groups(judged, farthest_m(judged)), "interval_90": ends}},
+        "warnings": warnings,
+        "notes": notes,
+        "versions": versions(""),
+    }
+
+
+_UNLABELLED = "what is not labelled counts as a false alarm"
+_BY_FRAME = "intervals resample frames: they are too narrow where frames near in time show the same vehicles"
 
 
 # --- Data sets --------------------------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,7 @@ _LOOKS = {
     "body": {"color": "#5b8fc7", "marker": "^"},
     "detailed": {"color": "#173f70", "marker": "o"},
 }
+_LINES = "-", "--", ":", "-."  # by the losses
 
 
 def comparison_text(result: Mapping) -> str:
@@ -31,13 +32,13 @@ def comparison_text(result: Mapping) -> str:
     left_out = ", ".join(f"{count} {reason}" for reason, count in result["left_out"].items() if count)
     on_rings, rows = 100.0 * result["beams"]["share_on_rings"], [_HEAD]
     for one in result["variants"]:
-        rows.append((one["detail"], *_cells(one)))
+        rows.append((_variant(one, result), *_cells(one)))
         rows += [(f"  {_band(band)}", *_cells(band)) for band in one["by_distance"]]
     lines = [
         f"Vehicles   {result['vehicles']} in {result['frames']} of {result['clouds']} clouds"
         + (f"; left out: {left_out}" if left_out else ""),
         f"Beams      {result['sensor']}: {on_rings:.0f} % of the points are on its rings (by chance 50 %)",
-        f"Simulated  {result['caster']}; lost: {result['losses']}",
+        f"Simulated  {result['caster']}; lost: {'; '.join(result['losses'])}",
         "",
         "Points of all vehicles, PE-VGOP of the median vehicle, and by how much the simulated one differs from the",
         "real one: median absolute error with its interval, and median difference [bits]",
@@ -46,6 +47,11 @@ def comparison_text(result: Mapping) -> str:
         _intervals(result),
     ]
     return "\n".join(lines)
+
+
+def _variant(one: Mapping, result: Mapping) -> str:
+    """The name of a level of detail, with its losses where there are several."""
+    return one["detail"] if len(result["losses"]) == 1 else f"{one['detail']}, lost: {one['losses']}"
 
 
 def _cells(one: Mapping) -> tuple[str, ...]:
@@ -95,40 +101,46 @@ def draw_comparison(path: Path, table: Mapping[str, np.ndarray], result: Mapping
         When matplotlib is not installed.
     """
     variants = result["variants"]
-    subtitle = f"{result['vehicles']} vehicles in {result['frames']} clouds; lost: {result['losses']}"
+    subtitle = f"{result['vehicles']} vehicles in {result['frames']} clouds; lost: {'; '.join(result['losses'])}"
     with sheet(path, _HEIGHT_MM, "Recorded vehicles beside their simulation", subtitle) as figure:
         by_distance, scores = figure.subplots(1, 2)
-        _draw_bands(by_distance, variants)
-        shown = "body" if "body" in table["detail"] else variants[0]["detail"]
-        mine = {name: column[table["detail"] == shown] for name, column in table.items()}
+        _draw_bands(by_distance, result)
+        first = next((one for one in variants if one["detail"] == "body"), variants[0])
+        shown = np.logical_and(*(table[key] == first[key] for key in ("detail", "losses")))
+        mine = {name: column[shown] for name, column in table.items()}
         real, simulated = mine["real_entropy_bits"], mine["simulated_entropy_bits"]
         top = 1.05 * max(real.max(), simulated.max(), 0.1)
         scores.plot([0.0, top], [0.0, top], color=INK, linewidth=0.8)
         look = {"s": 9.0, "linewidths": 0.0, "cmap": colours(HEIGHT_COLOURS)}
         dots = scores.scatter(real, simulated, c=mine["distance_m"], **look)
         scores.set(aspect="equal", xlim=(0.0, top), ylim=(0.0, top))
-        scores.set(xlabel="Real PE-VGOP [bits]", ylabel="Simulated PE-VGOP [bits]", title=f"Each vehicle, {shown}")
+        scores.set(
+            xlabel="Real PE-VGOP [bits]",
+            ylabel="Simulated PE-VGOP [bits]",
+            title=f"Each vehicle, {_variant(first, result)}",
+        )
         scores.grid(visible=True)
         figure.colorbar(dots, ax=scores, label="Distance [m]", shrink=0.8)
 
 
-def _draw_bands(axes: Axes, variants: Sequence[Mapping]) -> None:
-    """The median absolute error of each level of detail by distance, where there are enough vehicles."""
+def _draw_bands(axes: Axes, result: Mapping) -> None:
+    """The median absolute error of each variant by distance, where there are enough vehicles."""
+    variants = result["variants"]
     bands = variants[0]["by_distance"]
     drawn = [row for row, band in enumerate(bands) if band["vehicles"] >= _FEWEST]
     for number, one in enumerate(variants):
-        look = _LOOKS[one["detail"]]
+        look = {**_LOOKS[one["detail"]], "linestyle": _LINES[result["losses"].index(one["losses"]) % len(_LINES)]}
         x = np.array(drawn) + 0.12 * (number - 0.5 * (len(variants) - 1))
         errors = [one["by_distance"][row]["absolute_error_bits"] for row in drawn]
         for at, error in zip(x, errors, strict=True):
             axes.plot([at] * 2, error["interval_90"] or [error["median"]] * 2, color=look["color"], linewidth=1.6)
-        axes.plot(x, [error["median"] for error in errors], markersize=5.0, label=one["detail"], **look)
+        axes.plot(x, [error["median"] for error in errors], markersize=5.0, label=_variant(one, result), **look)
     texts = [f"{_band(band).removesuffix(' m')}\n{band['vehicles']}" for band in bands]
     axes.set_xticks(range(len(bands)), texts, color=INK, fontsize=6.5)
     axes.set_ylim(bottom=0.0)
     axes.set(xlabel="Distance [m], and vehicles", ylabel="Median absolute error [bits]", title="PE-VGOP, by distance")
     axes.grid(visible=True, axis="y")
     if drawn:
-        axes.legend()
+        axes.legend(fontsize=6.5)
     else:
         axes.text(0.5, 0.5, f"fewer than {_FEWEST} in each band", transform=axes.transAxes, ha="center", color=FAINT)

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
 
 from ..casting import caster_class
+from ..clouds.rings import Rings, rings_of
 from ..errors import InputError
 from ..metrics.vgop import entropy, occupancy, to_vehicle_frame
 from ..metrics.view_grids import VIEW_NAMES
@@ -25,7 +27,7 @@ from ..statistics import FEWEST_BLOCKS, RESAMPLES, interval_90, resampled_weight
 from ..world.meshes import GLASS, REFLECTIVITY
 from ..world.shapes import shape
 from ..world.triangles import Triangles, place
-from .recorded import NO_POINT, Firings, LabelledBoxes, Rays, RecordedFrame, Rings, table_rings
+from .recorded import NO_POINT, Firings, LabelledBoxes, Rays, RecordedFrame
 
 CLEARANCE_M = 0.15
 """Hits less than this above a box's floor are left out, of both sides: in KITTI the road shows as a hump of returns
@@ -34,9 +36,8 @@ RIM_M = 0.05
 """Returns up to this far outside a box are the vehicle's as well: one cell, as the metric has it."""
 GROWN_M = 0.3  # a ray is a vehicle's if it meets its box grown by this to all sides and up, above the clearance
 SHORT_M = 0.3  # a return so far before the grown box came from something else, which hides the vehicle
-LEAST_ON_RINGS = 0.85
-"""Share of the points near the rings of a beam table (`table_rings`) below which the table is not the cloud's."""
 BAND_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 75.0, 110.0, 150.0, np.inf)
+NO_LOSSES = "none"
 AT_THE_ORIGIN = Pose(height_m=0.0)
 _SEED = 1
 
@@ -53,7 +54,8 @@ class Setup:
         A name of `casting.CASTERS`.
     pose : Pose
         Of the sensor in the frame of the clouds.
-    losses : Imperfections
+    losses : mapping of str to Imperfections
+        Each by its name: every level of detail is seen with each of them.
     margin_m : tuple of float
         By how much labels are longer, wider and higher than the vehicles in them [m].
     clearance_m : float
@@ -67,7 +69,7 @@ class Setup:
     details: tuple[str, ...]
     caster: str
     pose: Pose = AT_THE_ORIGIN
-    losses: Imperfections = PERFECT
+    losses: Mapping[str, Imperfections] = field(default_factory=lambda: {NO_LOSSES: PERFECT})
     margin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     clearance_m: float = CLEARANCE_M
     classes: tuple[str, ...] | None = None
@@ -250,8 +252,8 @@ class Comparison:
     Attributes
     ----------
     table : dict of str to ndarray, (d * c,)
-        A row for each level of detail and vehicle, level after level: ``detail``, those of `PairedFrame.real_columns`
-        and `PairedFrame.columns`, and ``error_bits``, simulated less real PE-VGOP.
+        A row for each level of detail, losses and vehicle, in this order: ``detail``, ``losses``, those of
+        `PairedFrame.real_columns` and `PairedFrame.columns`, and ``error_bits``, simulated less real PE-VGOP.
     sensor : dict
         What the clouds say of their sensor: the median distance of the points from their rings, ``off_ring_m``, and
         the share of the points that fits the beam table, ``share_on_rings``.
@@ -286,22 +288,25 @@ def compare_frames(
     left_out: Counter[str] = Counter()
     labels: set[str] = set()
     facts: list[tuple[float, float]] = []
-    tables: dict[str, list] = {detail: [] for detail in setup.details}
+    tables: dict[tuple[str, str], list] = {key: [] for key in product(setup.details, setup.losses)}
     for number, frame in enumerate(frames):
         rows = chosen(frame.boxes, setup, left_out)
         labels.update(frame.boxes.label.tolist())
         if len(rows):
-            rings, share = rings_of(frame, lattice, setup.pose)
+            rings, share = rings_of(setup.pose.to_sensor(frame.points), lattice, frame.where)
             facts.append((rings.spread_m, share))
             paired = PairedFrame(frame, rows, rings, setup, number)
             real = paired.real_columns()
-            for detail, table in tables.items():
-                found = paired.columns(*paired.returned(paired.simulate(detail), setup.losses))
-                table.append({"detail": np.full(len(rows), detail), **real, **found})
+            for detail in setup.details:
+                seen = paired.simulate(detail)
+                for name, losses in setup.losses.items():
+                    variant = {"detail": np.full(len(rows), detail), "losses": np.full(len(rows), name)}
+                    found = paired.columns(*paired.returned(seen, losses))
+                    tables[detail, name].append({**variant, **real, **found})
         report()
     if not facts:
         raise _nothing_to_compare(setup, left_out, labels)
-    parts = [one for of_detail in tables.values() for one in of_detail]
+    parts = [one for of_variant in tables.values() for one in of_variant]
     table = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
     table["error_bits"] = table["simulated_entropy_bits"] - table["real_entropy_bits"]
     spread, shares = np.median(facts, axis=0).tolist()
@@ -315,19 +320,6 @@ def _nothing_to_compare(setup: Setup, left_out: Mapping[str, int], labels: set[s
     near, far = setup.between_m
     why = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
     return InputError(f"no {what} to compare at {near:g} to {far:g} m ({why})")
-
-
-def rings_of(frame: RecordedFrame, lattice: BeamLattice, pose: Pose) -> tuple[Rings, float]:
-    """The rings of a cloud, and the share of its points that fits the beam table."""
-    local = pose.to_sensor(frame.points)
-    rings, share = table_rings(local, lattice)
-    if share < LEAST_ON_RINGS:
-        raise InputError(
-            f"{frame.where}: {100.0 * share:.0f} % of its {len(local)} points are near the rings of "
-            f"{lattice.model.name}, where chance gives 50 %; allowed: {100.0 * LEAST_ON_RINGS:.0f} % or more. "
-            "Another sensor, or another place or tilt of it in the frame of the cloud (--x to --yaw)"
-        )
-    return rings, share
 
 
 def chosen(boxes: LabelledBoxes, setup: Setup, left_out: Counter) -> np.ndarray:
@@ -345,16 +337,19 @@ def chosen(boxes: LabelledBoxes, setup: Setup, left_out: Counter) -> np.ndarray:
 
 
 def aggregate(table: Mapping[str, np.ndarray]) -> dict:
-    """Errors of each level of detail, over all vehicles and by distance, ready for JSON; `table` as in `Comparison`.
+    """Errors of each variant, over all vehicles and by distance, ready for JSON; `table` as in `Comparison`.
+
+    A variant is a level of detail with some losses.
 
     Whole frames are resampled where there are three or more, else single vehicles.
     """
-    details = list(dict.fromkeys(table["detail"].tolist()))
+    variants = list(dict.fromkeys(zip(table["detail"].tolist(), table["losses"].tolist(), strict=True)))
     frames = len(np.unique(table["frame"]))
     by_frame = frames >= FEWEST_BLOCKS
     found = []
-    for detail in details:
-        mine = {name: column[table["detail"] == detail] for name, column in table.items()}
+    for detail, losses in variants:
+        which = (table["detail"] == detail) & (table["losses"] == losses)
+        mine = {name: column[which] for name, column in table.items()}
         cluster = mine["frame"] if by_frame else np.arange(len(mine["frame"]))
         bands = np.digitize(mine["distance_m"], BAND_EDGES_M) - 1
         by_distance = [
@@ -362,13 +357,15 @@ def aggregate(table: Mapping[str, np.ndarray]) -> dict:
             | errors(mine, cluster, bands == band)
             for band in np.unique(bands).tolist()
         ]
-        found.append({"detail": detail, **errors(mine, cluster, bands >= 0), "by_distance": by_distance})
-    vehicles = len(table["frame"]) // len(details)
+        found.append(
+            {"detail": detail, "losses": losses, **errors(mine, cluster, bands >= 0), "by_distance": by_distance}
+        )
+    vehicles = len(table["frame"]) // len(variants)
     return {"frames": frames, "vehicles": vehicles, "resampled": "frame" if by_frame else "vehicle", "variants": found}
 
 
 def errors(table: Mapping[str, np.ndarray], cluster: np.ndarray, which: np.ndarray) -> dict:
-    """Errors of the vehicles that a mask picks, at one level of detail; `cluster` (n,) is resampled as one."""
+    """Errors of the vehicles that a mask picks, of one variant; `cluster` (n,) is resampled as one."""
     mine, drawn = {name: column[which] for name, column in table.items()}, cluster[which]
     real, simulated, both = (int(mine[f"{name}_points"].sum()) for name in ("real", "simulated", "both"))
     known = mine["range_error_m"][np.isfinite(mine["range_error_m"])]

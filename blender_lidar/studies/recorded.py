@@ -1,4 +1,4 @@
-"""Recorded clouds: their points, labelled boxes, rings and rays, those without a return as well."""
+"""Recorded clouds: their points, labelled boxes and rays, those without a return as well."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..clouds.commissioned import Hung
 from ..clouds.files import read_points
+from ..clouds.rings import Rings
+from ..detection.labels import read_labels
 from ..errors import InputError
 from ..metrics.vgop import to_vehicle_frame
-from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
-from ..traffic.table import read_table
 from ..world.triangles import shape_names
 
 NO_POINT = -1
@@ -83,28 +84,33 @@ class RecordedFrame:
     boxes: LabelledBoxes
 
 
-def tabled_frames(clouds: Sequence[str], table: str, frames: Sequence[int] | None) -> Iterator[RecordedFrame]:
-    """Clouds, each with the boxes of one frame of a table in the columns of vehicles.csv and the frame of the clouds.
+def labelled_frames(
+    clouds: Sequence[str], labels: str, frames: Sequence[int] | None, hung: Hung | None = None
+) -> Iterator[RecordedFrame]:
+    """Clouds, each with the boxes of one frame of some labels.
 
     Parameters
     ----------
     clouds : sequence of path
         As `read_points` takes them.
-    table : path
+    labels : path
+        As `read_labels` takes them; a table's are in the frame of the clouds.
     frames : sequence of int, optional
-        For each cloud its frame in the table; not needed for one cloud where the table has one frame.
+        For each cloud its frame in the labels; not needed for one cloud where these have one frame.
+    hung : Hung, optional
+        Brings the clouds from the sensor's own frame to that of the road, which a table's boxes are in then.
 
     Raises
     ------
     InputError, MissingFileError
         Naming the file, and the line where there is one.
     """
-    recording = read_table(table).vehicles_alone
+    recording = read_labels(labels, hung).vehicles_alone
     known = recording.frames
     if frames is None:
         if len(clouds) > 1 or len(known) > 1:
             raise InputError(
-                f"--boxes: {table}: holds {len(known)} frames, {known[0]} to {known[-1]}, for {len(clouds)} "
+                f"--boxes: {labels}: holds {len(known)} frames, {known[0]} to {known[-1]}, for {len(clouds)} "
                 "clouds; give --frame with a number for each cloud"
             )
         frames = known[:1]
@@ -120,71 +126,8 @@ def tabled_frames(clouds: Sequence[str], table: str, frames: Sequence[int] | Non
             size_m=vehicles.size_m,
             heading_rad=vehicles.heading_rad,
         )
-        yield RecordedFrame(str(int(frame)), str(cloud), read_points(cloud)[0], boxes)
-
-
-# --- Rings ------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rings:
-    """The rings of one revolution; ring 0 is the lowest.
-
-    Attributes
-    ----------
-    ring : ndarray of int64, (n,)
-        Ring of each point.
-    elevation_rad : ndarray, (r,)
-        Angle of each ring above the horizontal, seen from its own laser [rad]; rising, except for rings of few returns.
-    height_m : ndarray, (r,)
-        Where the ring's rays cross the sensor's axis, above the origin [m].
-    lateral_m : ndarray, (r,)
-        How far its rays pass the axis by, to the left of their direction [m]; 0, as the height is, by a beam table.
-    step_rad : float
-        Mean azimuth from one firing to the next [rad].
-    spread_m : float
-        Median distance of the points from their rings' cones, upwards [m].
-    """
-
-    ring: np.ndarray
-    elevation_rad: np.ndarray
-    height_m: np.ndarray
-    lateral_m: np.ndarray
-    step_rad: float
-    spread_m: float
-
-    def __len__(self) -> int:
-        return len(self.elevation_rad)
-
-
-def table_rings(points: np.ndarray, lattice: BeamLattice) -> tuple[Rings, float]:
-    """The rings of a known sensor, and how well its beam table fits a cloud.
-
-    Parameters
-    ----------
-    points : ndarray, (n, 3)
-        Returns in the sensor's frame, in any order [m].
-    lattice : BeamLattice
-
-    Returns
-    -------
-    rings : Rings
-        Every ring of the table; each point belongs to the one with the nearest elevation.
-    share : float
-        Of the points, how many are within a quarter of the spacing of rings from a ring: about a half where the table
-        has nothing to do with the cloud, nearly all where sensor, pose and table are right.
-    """
-    elevation, rho = lattice.elevation_rad, np.hypot(points[:, 0], points[:, 1])
-    seen = np.arctan2(points[:, 2], rho)
-    above = np.clip(np.searchsorted(elevation, seen), 1, len(elevation) - 1)
-    gap = elevation[above] - elevation[above - 1]
-    from_below = (seen - elevation[above - 1]) / gap
-    ring = above - (from_below < 0.5)
-    share = float((np.abs(seen - elevation[ring]) <= 0.25 * gap).mean()) if len(points) else 0.0
-    off = np.abs(points[:, 2] - rho * np.tan(elevation[ring]))
-    none = np.zeros(len(elevation))
-    spread_m = float(np.median(off)) if len(points) else math.nan
-    return Rings(ring, elevation, none, none, lattice.step_rad, spread_m), share
+        points = read_points(cloud)[0]
+        yield RecordedFrame(str(int(frame)), str(cloud), points if hung is None else hung.placed(points), boxes)
 
 
 # --- Rays -------------------------------------------------------------------------------------------------------------

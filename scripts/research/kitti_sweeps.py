@@ -24,8 +24,9 @@ from pathlib import Path
 
 import numpy as np
 
+from blender_lidar.clouds.rings import Rings
 from blender_lidar.errors import InputError
-from blender_lidar.studies.recorded import LabelledBoxes, RecordedFrame, Rings
+from blender_lidar.studies.recorded import LabelledBoxes, RecordedFrame
 from blender_lidar.traffic.vehicles import CLASSES, FLEET_KINDS, VAN_LONGER_THAN_M, fleet_kind
 
 KITTI_MARGIN_M = (0.15, 0.06, 0.01)
