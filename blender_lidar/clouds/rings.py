@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..sensors.beams import TURN_RAD, BeamLattice
+from ..sensors.identify import nearest_ring
 from .scan import PointCloud
 
 LEAST_ON_RINGS = 0.85
@@ -68,8 +69,7 @@ def table_rings(points: np.ndarray, lattice: BeamLattice) -> tuple[Rings, float]
     seen = np.arctan2(points[:, 2], rho)
     above = np.clip(np.searchsorted(elevation, seen), 1, len(elevation) - 1)
     gap = elevation[above] - elevation[above - 1]
-    from_below = (seen - elevation[above - 1]) / gap
-    ring = above - (from_below < 0.5)
+    ring = nearest_ring(seen, elevation)
     share = float((np.abs(seen - elevation[ring]) <= 0.25 * gap).mean()) if len(points) else 0.0
     off = np.abs(points[:, 2] - rho * np.tan(elevation[ring]))
     none = np.zeros(len(elevation))

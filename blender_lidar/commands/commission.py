@@ -4,29 +4,38 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from ..clouds.commissioned import COMMISSION
 from ..clouds.files import read_grid, read_points
 from ..clouds.fit import in_frame
+from ..clouds.rings import beam_phase, on_beams
+from ..detection.classical import ClassicalDetector
+from ..detection.fitted_boxes import fit_boxes
+from ..detection.labels import frame_of
+from ..detection.stored import AS_RECORDED
 from ..errors import InputError, MissingExtraError
-from ..files import check_folder, check_unused, make_folder, write_text
+from ..files import check_folder, check_unused, make_folder, write_columns, write_text
 from ..report.commission import commission_text, correction_sheet, draw_commission
 from ..run.folder import SCENE, RunFolder
 from ..scene.scenario import load_scenario
 from ..scene.site import prepare
+from ..sensors.beams import beam_lattice
 from ..sensors.model import load_model
-from ..studies.commission import Commissioned, against_plan, commission, result_of
+from ..studies.commission import FEWEST_CLOUDS, Commissioned, against_plan, commission, result_of
 from .options import check_scipy, layout_of_run, new_folder, options_of
 from .parsers import CommissionOptions
 from .progress import Progress
 from .report import note, say_result
 
 COMMISSION_SCHEMA = 1
-RESULT, BEAMS, DEPLOYMENT = "commission.json", "beams.toml", "deployment.toml"
-SHEET, PICTURE = "correction.txt", "commission.png"
-_OURS = RESULT, BEAMS, DEPLOYMENT, SHEET, PICTURE
+RESULT, BEAMS, DEPLOYMENT = COMMISSION, "beams.toml", "deployment.toml"
+SHEET, PICTURE, BOXES = "correction.txt", "commission.png", "boxes.csv"
+_OURS = RESULT, BEAMS, DEPLOYMENT, SHEET, PICTURE, BOXES
+_DIGITS = {f"{name}_m": 3 for name in ("x", "y", "z", "length", "width", "height")} | {"heading_deg": 2}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,6 +75,12 @@ def run(args: argparse.Namespace) -> int:
     write_text(folder / BEAMS, unit_table(found))
     write_text(folder / DEPLOYMENT, deployment(found))
     written = [RESULT, BEAMS, DEPLOYMENT]
+    if len(clouds) >= FEWEST_CLOUDS:
+        try:
+            write_columns(folder / BOXES, _boxes(found, clouds, args.clouds), _DIGITS)
+            written.append(BOXES)
+        except MissingExtraError as error:
+            note(f"no boxes: {error}")
     if plan:
         write_text(folder / SHEET, correction_sheet(result))
         written.append(SHEET)
@@ -92,6 +107,23 @@ def _number(name: str | None, scenario) -> int:
 def _in_sensor_frame(points: np.ndarray, asked: CommissionOptions) -> np.ndarray:
     """Points as they come, from the sensor's place, with x to the right of y and z up."""
     return in_frame(points - (asked.origin or (0.0, 0.0, 0.0)), asked.axes, None)
+
+
+def _boxes(found: Commissioned, clouds: Sequence[np.ndarray], paths: Sequence[str]) -> Mapping[str, np.ndarray]:
+    """Boxes fitted to the vehicles, in the road frame; frames are the numbers at the ends of the clouds' names, or 0 on."""
+    pose, lattice = found.fit.pose, beam_lattice(found.model)
+    phase = beam_phase(clouds, lattice)
+    with_beams = [
+        on_beams(points, pose.to_world(points) + pose.position, lattice, phase, path)
+        for points, path in zip(clouds, paths, strict=True)
+    ]
+    detector = ClassicalDetector(lattice, (0.0, 0.0), AS_RECORDED)
+    table = fit_boxes(with_beams, detector, [one.y_m for one in found.fit.carriageways])
+    try:
+        numbers = np.array([frame_of(Path(path)) for path in paths])
+    except InputError:
+        numbers = np.arange(len(paths))
+    return {**table, "frame": numbers[table["frame"]]}
 
 
 def deployment(found: Commissioned) -> str:

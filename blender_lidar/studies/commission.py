@@ -32,7 +32,7 @@ from .road_fit import FEWEST_POINTS, Estimate, RoadFit, fit_road
 _NO_METRES_M = 1500.0  # median range of a cloud that is not in metres
 _HEIGHTS_M, _FAR_M = np.arange(0.5, 25.0, 0.1), 15.0  # of a sensor in a cloud that is in the road's frame
 _OFF_TURN_RAD = math.radians(1.0)  # azimuths of columns so far from a table's are not of it
-_FEWEST_CLOUDS = 3  # of which a background is taken
+FEWEST_CLOUDS = 3  # of which a background is taken
 _STILL_M, _STILL_BY_RANGE = 0.15, 0.005  # how far the ranges of a beam may differ if what it meets stands still
 _HIGH_M, _FEWEST_HIGH, _MOVES = 4.5, 100, 0.25  # points above vehicles; least share of them that must stand still
 _FLOOR_M, _MOST_ON_FLOOR = 0.1, 0.25  # of z; only one ring of a sensor is level
@@ -122,7 +122,7 @@ def commission(
         each.append(_named(name, fit_road, points, ring, model.rings, facing))
         report()
     points, ring, fit = clouds[0], rings[0], each[0]
-    if len(clouds) >= _FEWEST_CLOUDS:
+    if len(clouds) >= FEWEST_CLOUDS:
         points, ring = _background(clouds, rings, model, each, names)
         fit = _named("the background", fit_road, points, ring, model.rings, facing, clouds)
     return Commissioned(
