@@ -110,7 +110,7 @@ def _in_sensor_frame(points: np.ndarray, asked: CommissionOptions) -> np.ndarray
 
 
 def _boxes(found: Commissioned, clouds: Sequence[np.ndarray], paths: Sequence[str]) -> Mapping[str, np.ndarray]:
-    """Boxes fitted to the vehicles, in the road frame; frames are the numbers at the ends of the clouds' names, or 0 on."""
+    """Boxes fitted to the vehicles, in the road frame; frames are the numbers in the clouds' names, or 0 on."""
     pose, lattice = found.fit.pose, beam_lattice(found.model)
     phase = beam_phase(clouds, lattice)
     with_beams = [

@@ -27,7 +27,8 @@ from ..sensors.identify import (
 )
 from ..sensors.model import LidarModel
 from ..statistics import block_sums, of_blocks, statistic_interval_90
-from .road_fit import FEWEST_POINTS, Estimate, RoadFit, fit_road
+from .road_fit import Estimate, RoadFit, fit_road
+from .road_surface import FEWEST_POINTS
 
 _NO_METRES_M = 1500.0  # median range of a cloud that is not in metres
 _HEIGHTS_M, _FAR_M = np.arange(0.5, 25.0, 0.1), 15.0  # of a sensor in a cloud that is in the road's frame
