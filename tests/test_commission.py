@@ -6,12 +6,14 @@ import json
 import math
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from blender_lidar.clouds.files import read_grid, write_pcd
 from blender_lidar.clouds.scan import PointCloud
+from blender_lidar.commands.commission import unit_table
 from blender_lidar.detection.judge import sensor_at
 from blender_lidar.errors import InputError
 from blender_lidar.scene.mounting import changed_mounting, mounting_from
@@ -207,6 +209,44 @@ def test_a_dead_ring_and_a_blind_sector_are_seen():
     assert found.blind_deg == ((100.0, 130.0),)
 
 
+def test_a_crown_that_traffic_on_one_side_hides_widens_the_interval():
+    """What is driven on is one plane, and the other side of the crown may be anywhere."""
+    site = scene(sensor__name=V2R, road__crown_percent=2.0)
+    table = {"height_m": 4.2, "tilt_x_deg": 12.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
+    mounting = mounting_from(table, site.scenario.road_map, site.scenario.baselines[0])
+    for count in (0, 6):
+        vehicles = site.search[0].vehicles
+        near = np.argsort(vehicles.centre_m[:, 1])[:count]
+        points = mounting.pose.to_sensor(sensor_at(site, mounting).scan(vehicles.select(near)).xyz)
+        fit = commission([points], ["cloud"]).fit
+        low, high = fit.tilt_x.interval_90
+        assert low <= mounting.pose.tilt_x <= high
+
+
+def test_a_cloud_thrice_gives_what_it_gives_once():
+    points, _ = hung("RS-32", sensor__unit_spread_deg=0.03, sensor__unit=5)
+    once, thrice = commission([points], ["a"]), commission([points] * 3, list("abc"))
+    assert thrice.fit.height_m.value == pytest.approx(once.fit.height_m.value, abs=0.004)
+    assert thrice.fit.yaw.error >= 0.9 * once.fit.yaw.error
+    unit = unit_of(load_model("RS-32"), 0.03, 5)
+    seen = np.isin(np.arange(32), once.ring)
+    for found in (once, thrice):
+        assert np.degrees(np.abs(found.unit_rad - unit.elevation_rad))[seen].max() < 0.01
+        assert found.fit.ring_check.before_rad < math.radians(0.003)
+
+
+def test_points_at_the_origin_are_no_returns():
+    points, _ = hung("OS1-64")
+    found = commission([np.concatenate([points, np.zeros((len(points), 3)), [[np.nan] * 3]])], ["cloud"])
+    assert found.left_out == len(points) + 1
+    assert found.fit.height_m == commission([points], ["cloud"]).fit.height_m
+
+
+def test_columns_of_a_full_cloud_hide_no_rings():
+    model = load_model("Pandar64")
+    assert identify_sensor(np.tile(model.elevation_rad, 1800)).matches[0].model.name == "Pandar64"
+
+
 # --- What is refused --------------------------------------------------------------------------------------------------
 
 
@@ -237,6 +277,16 @@ def test_what_is_no_cloud_of_a_sensor_over_a_road_is_refused_by_what_it_is(what)
     make, text = REFUSED[what]
     with pytest.raises(InputError, match=f"^here: .*({text})"):
         commission([make()], ["here"])
+
+
+@pytest.mark.parametrize(
+    "other", [("RS-80", {}), ("RS-32", {"height_m": 4.7}), ("RS-32", {"tilt_x_deg": 9.0})], ids=str
+)
+def test_clouds_of_other_sensors_or_mountings_are_refused_together(other):
+    sensor, table = other
+    clouds = [hung("RS-32")[0], hung(sensor, 1, table=table)[0], hung("RS-32", 2)[0]]
+    with pytest.raises(InputError, match=r"b: its points are not on the rings of RS-32|a to c: hang 4\."):
+        commission(clouds, list("abc"))
 
 
 def test_a_mirrored_axis_is_seen_in_organised_clouds():
@@ -304,8 +354,31 @@ def test_the_verb_tells_how_a_lidar_hangs_beside_its_plan_and_what_to_do(run_of_
     assert share["interval_90"][0] <= share["gain"] <= share["interval_90"][1]
     assert "Against the plan" in text
     assert result["as_possible"] == ["XT32"]
-    again = cli(capsys, "commission", clouds[0], "--out", out)  # in the place of its own results
-    assert again[0] == 0
+    assert cli(capsys, "commission", clouds[0], "--out", out)[0] == 0  # in the place of its own results
+    assert not (out / "correction.txt").exists()
+
+
+def test_forgotten_axes_are_asked_for_and_not_corrected(run_of_two, tmp_path, capsys):
+    points = np.load(run_of_two / "cloud_0.npz")["xyz"]
+    np.savez(tmp_path / "flu.npz", xyz=np.stack([points[:, 1], -points[:, 0], points[:, 2]], axis=1))
+    words = "commission", tmp_path / "flu.npz", "--run", run_of_two / "run", "--out"
+    assert cli(capsys, *words, tmp_path / "one")[0] == 0
+    assert "is --axes right?" in (tmp_path / "one" / "correction.txt").read_text()
+    assert cli(capsys, *words, tmp_path / "other", "--axes", "flu")[0] == 0
+    assert "Raise the sensor by" in (tmp_path / "other" / "correction.txt").read_text()
+
+
+@pytest.mark.parametrize("name", [name for name in model_names() if load_model(name).rings > 1])
+def test_the_beam_table_of_a_unit_keeps_all_else_of_its_model(name, tmp_path):
+    model = load_model(name)
+    found = SimpleNamespace(model=model, unit_rad=model.elevation_rad)
+    (tmp_path / "beams.toml").write_text(unit_table(found))
+    read = load_model(tmp_path / "beams.toml")
+    for key in ("rotation_hz", "default_rotation_hz", "block_time_us", "columns_a_turn", "range_min_m", "range_max_m"):
+        assert getattr(read, key) == getattr(model, key)
+    assert read.columns() == model.columns()
+    np.testing.assert_allclose(read.elevation_rad, model.elevation_rad, atol=1e-5)
+    np.testing.assert_allclose(read.azimuth_offset_rad, model.azimuth_offset_rad, atol=1e-5)
 
 
 def test_what_it_writes_is_read_again(run_of_two, tmp_path, capsys):
@@ -336,9 +409,9 @@ def test_the_options_are_refused_by_name(run_of_two, tmp_path, capsys):
     cloud = run_of_two / "cloud_0.npz"
     for words, text in {
         ("--lidar", "north"): "--lidar: is given without --run",
-        ("--run", run_of_two / "run", "--lidar", "north"): "--lidar: is 'north'; allowed: ''",
+        ("--run", run_of_two / "run", "--lidar", "north"): "--lidar: is 'north'; allowed: none",
         ("--axes", "xyz"): "--axes: is 'xyz'",
-        ("--sensor", "RS-16"): "on the rings of RS-16; allowed: a cloud of that sensor",
+        ("--sensor", "RS-16"): "on the rings of RS-32, not on those of RS-16",
         ("--origin", "0", "0", "nan"): "--origin",
         ("--run", tmp_path): "there is no such file",
     }.items():
@@ -358,7 +431,5 @@ def test_organised_clouds_keep_their_columns(tmp_path):
     head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 5\nHEIGHT 12\nPOINTS 60\nDATA ascii\n"
     (tmp_path / "grid.pcd").write_text(head + rows)
     np.testing.assert_allclose(read_grid(tmp_path / "grid.pcd"), grid)
-    cloud = PointCloud(np.zeros((4, 3)), *np.zeros((9, 4)))
-    cloud = PointCloud(**{name: getattr(cloud, name) for name in PointCloud.__dataclass_fields__})
-    write_pcd(tmp_path / "plain.pcd", cloud, {})
+    write_pcd(tmp_path / "plain.pcd", PointCloud(np.zeros((4, 3)), *np.zeros((9, 4))), {})
     assert read_grid(tmp_path / "plain.pcd") is None

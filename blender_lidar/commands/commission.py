@@ -50,6 +50,8 @@ def run(args: argparse.Namespace) -> int:
     if args.of_run is not None:
         scenario = load_scenario(RunFolder(args.of_run).file(SCENE))
         layout, number = layout_of_run(args.of_run, scenario), _number(args.lidar, scenario)
+        if scenario.straight is None:
+            raise InputError(f"--run: {args.of_run}: is of a road on a map; allowed: a straight road's")
         site = prepare(scenario, layout)
         given = given or site.each[number].model
     elif args.lidar is not None:
@@ -72,6 +74,8 @@ def run(args: argparse.Namespace) -> int:
     result = {"schema": COMMISSION_SCHEMA, "clouds": len(clouds), "source": list(args.clouds)}
     result |= result_of(found, asked.axes, plan)
     make_folder(folder, "--out")
+    for name in _OURS:  # of an earlier cloud
+        (folder / name).unlink(missing_ok=True)
     write_text(folder / BEAMS, unit_table(found))
     write_text(folder / DEPLOYMENT, deployment(found))
     written = [RESULT, BEAMS, DEPLOYMENT]
@@ -96,11 +100,11 @@ def run(args: argparse.Namespace) -> int:
 def _number(name: str | None, scenario) -> int:
     """Which LiDAR of the plan it is."""
     names = [one.lidar_name for one in scenario.each]
-    if name is None and len(names) == 1:
+    if len(names) == 1 and name is None:
         return 0
     if name not in names:
         what = "is not given" if name is None else f"is {name!r}"
-        raise InputError(f"--lidar: {what}; allowed: {', '.join(map(repr, names))}")
+        raise InputError(f"--lidar: {what}; allowed: {', '.join(filter(None, names)) or 'none for a run of one LiDAR'}")
     return names.index(name)
 
 
@@ -129,7 +133,8 @@ def _boxes(found: Commissioned, clouds: Sequence[np.ndarray], paths: Sequence[st
 def deployment(found: Commissioned) -> str:
     """The mounting as tables of a scene: of a road along x, with the LiDAR's mast at its side and facing +y."""
     table = found.fit.pose.as_table()
-    lines = "".join(f"{key} = {table[key]:.4f}\n" for key in ("height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"))
+    keys = ["height_m", "tilt_x_deg", "tilt_y_deg", *(["yaw_deg"] if found.fit.yaw else [])]
+    lines = "".join(f"{key} = {table[key]:.4f}\n" for key in keys)
     return f'[sensor]\nname = "{found.model.name}"\n\n[deployment]\n{lines}'
 
 
@@ -147,6 +152,8 @@ def unit_table(found: Commissioned) -> str:
         "rotation_hz": list(model.rotation_hz),
         "default_rotation_hz": model.default_rotation_hz,
         "block_time_us": model.block_time_us,
+        "columns_a_turn": list(model.columns_a_turn) or None,
+        "default_columns": model.default_columns,
         "range_min_m": model.range_min_m,
         "range_max_m": model.range_max_m,
         "range_noise_m": model.range_noise_m,

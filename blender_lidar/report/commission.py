@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..statistics import FEWEST_BLOCKS
+from ..studies.commission import FEWEST_CLOUDS
 from .figure import INK, sheet
 from .tables import text_table
 
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 
 _COORDINATES = {
     "height_m": ("height above the road", "m", 2),
-    "tilt_x_deg": ("tilt about x: its +y looks down", "deg", 2),
-    "tilt_y_deg": ("tilt about y: its +x looks up", "deg", 2),
+    "tilt_x_deg": ("tilt: straight ahead looks down", "deg", 2),
+    "tilt_y_deg": ("tilt: its right looks up", "deg", 2),
     "yaw_deg": ("yaw against the road", "deg", 1),
 }
 _WIDTH = 110
@@ -32,17 +33,14 @@ _TOLD = (
 
 def commission_text(result: Mapping) -> str:
     """The findings for a terminal; `result` as commission.json has it."""
-    also = " or ".join(result["as_possible"])
+    also, clouds = " or ".join(result["as_possible"]), result["clouds"]
+    of = f"the background of {clouds} clouds" if clouds >= FEWEST_CLOUDS else f"the first of {clouds} clouds"
+    left_out = f"; {result['left_out']:,} points were no returns" if result["left_out"] else ""
     lines = [
         f"Sensor     {result['sensor']}, {100.0 * result['on_rings']:.0f} % of the points on its rings"
-        + (f"; as possible: {also}" if also else ""),
-        f"Cloud      {result['points']:,} points"
-        + (
-            f", the background of {result['clouds']} clouds"
-            if result["clouds"] >= 3
-            else f" of {result['clouds']} cloud"
-        ),
-        f"Direction  of the road by {result['direction_from'] or 'nothing: taken as the x axis of the sensor'}",
+        + (f"; {also} would fit as well" if also else ""),
+        f"Cloud      {result['points']:,} points" + (f", {of}" if clouds > 1 else "") + left_out,
+        f"Direction  of the road by {result['direction_from'] or 'nothing that is seen: as planned, or the x axis'}",
         "",
         *text_table(_mounting_rows(result)),
         "",
@@ -89,7 +87,7 @@ def _road_rows(result):
     rows = [("Road, from the right", "y [m]", "cross-fall [%]", "height above it at y = 0 [m]")]
     for one in result["carriageways"]:
         fall = one["cross_fall_percent"]
-        way = f"{abs(fall):.1f} to the {'right' if fall > 0.0 else 'left'}"
+        way = f"{abs(fall):.1f} to the {'right' if fall > 0.0 else 'left'}" if abs(fall) >= 0.05 else "level"
         rows.append(("  smooth strip", _interval(one["y_m"], 1), way, f"{one['above_m']:.2f}"))
     return rows
 
@@ -109,7 +107,7 @@ def _sensor_notes(result) -> list[str]:
         )
     for first, last in result["blind_sectors_deg"]:
         notes.append(
-            f"Nothing returned from {first:.0f} to {last:.0f} degrees clockwise of the sensor's +y, where the road is "
+            f"Nothing returned from {first:.0f} to {last:.0f} degrees clockwise of straight ahead, where the road is "
             "in reach."
         )
     if result["dead_rings"]:
@@ -163,30 +161,32 @@ def _cost(share: Mapping) -> str:
     verdict = (
         "no difference is shown" if low <= 0.0 <= high else ("it costs vehicles" if high < 0.0 else "it gains vehicles")
     )
-    return f"{text}: {100.0 * share['gain']:+.1f} points (90 % interval {low:+.1f} to {high:+.1f}), {verdict}."
+    gain = f"{100.0 * share['gain']:+.1f} points (90 % interval over traffic {low:+.1f} to {high:+.1f})"
+    return f"{text}: {gain}, {verdict}. This is of the mounting as measured; its own interval is not in it."
+
+
+_MOST_TURNED_DEG = 45.0  # no crew is so far off, but axes are
 
 
 def _corrections(plan) -> list[str]:
     """What to do at the mast for what differs beyond its interval."""
-    found, off = [], plan["differences"]
+    found, off, falls = [], plan["differences"], plan["falls_deg"]
+    turn = -off["yaw_deg"]["value"] if "yaw_deg" in off else 0.0
+    if abs(turn) > _MOST_TURNED_DEG:
+        return [
+            f"The yaw is {abs(turn):.0f} degrees off the plan: is --axes right? There is no correction until it is."
+        ]
     if _differs(off["height_m"]):
         up = -off["height_m"]["value"]
         found.append(f"{'Raise' if up > 0.0 else 'Lower'} the sensor by {100.0 * abs(up):.0f} cm.")
-    if _differs(off["tilt_x_deg"]) or _differs(off["tilt_y_deg"]):
-        falls = plan["falls_deg"]
-        for side, (planned, measured) in zip(
-            ("of zero azimuth", "a quarter turn clockwise from it"),
-            zip(falls["planned"], falls["measured"], strict=True),
-            strict=True,
-        ):
+    sides = ("tilt_x_deg", "of zero azimuth"), ("tilt_y_deg", "a quarter turn clockwise from it")
+    for (key, side), planned, measured in zip(sides, falls["planned"], falls["measured"], strict=True):
+        if _differs(off[key]):
             down = planned - measured
-            if abs(down) >= 0.1:
-                found.append(f"{'Lower' if down > 0.0 else 'Raise'} the side {side} by {abs(down):.1f} degrees.")
+            found.append(f"{'Lower' if down > 0.0 else 'Raise'} the side {side} by {abs(down):.1f} degrees.")
     if "yaw_deg" in off and _differs(off["yaw_deg"]):
-        turn = -off["yaw_deg"]["value"]
-        found.append(
-            f"Turn the sensor by {abs(turn):.1f} degrees {'counter-' if turn > 0.0 else ''}clockwise, seen from above."
-        )
+        way = "counter-clockwise" if turn > 0.0 else "clockwise"
+        found.append(f"Turn the sensor by {abs(turn):.1f} degrees {way}, seen from above.")
     return found or ["Nothing differs beyond its interval: there is nothing to correct."]
 
 

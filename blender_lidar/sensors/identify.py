@@ -25,6 +25,7 @@ _ENOUGH = 30  # points of a ring, beside which a ring without any cannot lie
 _BESIDE_RAD = math.radians(0.35)
 # Where the table itself does not fit: standard deviation of a unit's elevations, and how far a ring may be off, also as
 # a share of the way to the next. Makers' calibrations of units differ from their tables by up to 0.45 degrees.
+_LEAST_SEEN_OF_UNIT = 0.9
 _UNIT_RAD, _SHIFT_RAD, _SHIFT = math.radians(0.05), math.radians(0.12), 0.35
 _LENSES_M, _LENS_SHOWS = np.arange(-0.02, 0.0621, 0.002), 0.5  # the misfit falls to half: else units' rings may err
 _MOST_OFFSET_RAD = math.radians(1.0)  # of the columns of an organised cloud from a table's azimuth offsets
@@ -102,7 +103,7 @@ def identify_sensor(
     """
     models = [load_model(name) for name in model_names()] if models is None else models
     models = [model for model in models if model.rings > 1]
-    some = np.sort(elevation[:: len(elevation) // _MOST_POINTS + 1])
+    some = np.sort(elevation[np.random.default_rng(0).permutation(len(elevation))[:_MOST_POINTS]])
     for of_unit in (False, True) if units else (False,):
         found = [_match(some, model, of_unit) for model in models]
         found.sort(key=lambda one: -one.likelihood)
@@ -147,7 +148,7 @@ def _match(elevation: np.ndarray, model: LidarModel, of_unit: bool) -> Match:
     seen = float((points[spanned] > 0).mean()) if spanned.any() else 0.0
     likelihood -= 0.5 * model.rings * math.log(count) / count
     likelihood -= 0.5 * float(np.mean((shift[ring] / _UNIT_RAD) ** 2))  # of two tables the one that fits with less
-    if not of_unit and _has_hole(points, ladder):
+    if (of_unit and seen < _LEAST_SEEN_OF_UNIT) or (not of_unit and _has_hole(points, ladder)):
         gain = seen = 0.0
     return Match(model, gain, likelihood, on_rings, seen)
 
@@ -188,7 +189,7 @@ def lens_offset(points: np.ndarray, model: LidarModel) -> float:
     From points (n, 3) of the sensor's frame [m] and its table. Near points tell: at 10 m 3 cm turn a ring by up to 0.1
     degree.
     """
-    some = points[:: len(points) // 20_000 + 1]
+    some = points[np.random.default_rng(0).permutation(len(points))[:_MOST_POINTS]]
     spread = float(_SPREADS_RAD[1])
 
     def misfit(lens_m):

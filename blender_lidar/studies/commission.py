@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -19,25 +20,29 @@ from ..scoring.evaluation import site_evaluator
 from ..sensors.beams import beam_directions
 from ..sensors.identify import (
     Identified,
+    Match,
     elevations,
     identify_sensor,
     lens_offset,
     nearest_ring,
     offsets_misfit,
 )
-from ..sensors.model import LidarModel
+from ..sensors.model import LidarModel, load_model, model_names
 from ..statistics import block_sums, of_blocks, statistic_interval_90
 from .road_fit import Estimate, RoadFit, fit_road
 from .road_surface import FEWEST_POINTS
 
 _NO_METRES_M = 1500.0  # median range of a cloud that is not in metres
 _HEIGHTS_M, _FAR_M = np.arange(0.5, 25.0, 0.1), 15.0  # of a sensor in a cloud that is in the road's frame
+_NEAREST_M = 0.3  # of a return
+_MOST_APART_M, _MOST_APART_DEG = 0.15, 0.7  # of clouds of one mounting
 _OFF_TURN_RAD = math.radians(1.0)  # azimuths of columns so far from a table's are not of it
 FEWEST_CLOUDS = 3  # of which a background is taken
 _STILL_M, _STILL_BY_RANGE = 0.15, 0.005  # how far the ranges of a beam may differ if what it meets stands still
 _HIGH_M, _FEWEST_HIGH, _MOVES = 4.5, 100, 0.25  # points above vehicles; least share of them that must stand still
 _FLOOR_M, _MOST_ON_FLOOR = 0.1, 0.25  # of z; only one ring of a sensor is level
-_SECTOR_DEG, _BLIND_DEG, _GROUND_M = 1, 4, 30.0
+_BLIND_DEG, _GROUND_M = 4, 30.0
+_STRAYS, _MISSING = 0.02, 40  # share of the usual returns that a blind sector may have; what must lack in it
 _DEAD = 0.05  # of the returns of the rings beside it
 
 
@@ -47,14 +52,14 @@ class Commissioned:
 
     Attributes
     ----------
-    model : LidarModel
-        The sensor, named by the cloud or given.
-    identified : Identified
-        What the elevations say, whatever was given.
+    match : Match
+        The sensor, named by the cloud or given, and how well it explains the first cloud.
+    as_possible : tuple of str
+        Other models that would explain it as well.
     lens_m : float
         How far the optical centre lies off the axis, towards where the beams look [m].
     points : ndarray, (n, 3)
-        The background, or the one cloud, in the sensor's frame [m].
+        The background, or the first cloud, in the sensor's frame [m].
     ring : ndarray of int, (n,)
     fit : RoadFit
         Of these points.
@@ -64,10 +69,12 @@ class Commissioned:
         Sectors of azimuth, clockwise from the sensor's +y, in which nothing returned though the road lies there.
     dead_rings : tuple of int
         Rings that return next to nothing though those beside them do.
+    left_out : int
+        Points of all clouds that were not finite, or nearer than any return.
     """
 
-    model: LidarModel
-    identified: Identified
+    match: Match
+    as_possible: tuple[str, ...]
     lens_m: float
     points: np.ndarray
     ring: np.ndarray
@@ -75,11 +82,23 @@ class Commissioned:
     each: tuple[RoadFit, ...]
     blind_deg: tuple[tuple[float, float], ...]
     dead_rings: tuple[int, ...]
+    left_out: int
+
+    @property
+    def model(self) -> LidarModel:
+        """The sensor's model."""
+        return self.match.model
 
     @property
     def unit_rad(self) -> np.ndarray:
-        """Elevations of this unit's rings (r,) [rad]: the table's, corrected where a ring saw enough of the road."""
-        return self.model.elevation_rad - np.where(np.isfinite(self.fit.ring_sd_rad), self.fit.ring_error_rad, 0.0)
+        """Elevations of this unit's rings (r,) [rad]: as the cloud has them, corrected where they saw enough road.
+
+        Drivers write points by the table of their unit, or by the model's; a ring without points has the model's.
+        """
+        found, seen = self.model.elevation_rad.copy(), elevations(self.points, self.lens_m)
+        for ring in np.unique(self.ring):
+            found[ring] = np.median(seen[self.ring == ring])
+        return found - np.where(np.isfinite(self.fit.ring_sd_rad), self.fit.ring_error_rad, 0.0)
 
 
 def commission(
@@ -111,24 +130,30 @@ def commission(
     ------
     InputError
         Naming the cloud and what is wrong with it: too few points, other units, another frame, a mirrored axis, points
-        of several sensors or of one that moves, no road.
+        of several sensors or mountings, or of one that moves, no road.
     """
+    every, clouds = sum(map(len, clouds)), [_returns(points) for points in clouds]
     for name, points in zip(names, clouds, strict=True):
         _check_metres(name, points)
-    model, identified = _sensor(names[0], clouds[0], given, grid)
+    match, as_possible = _sensor(names[0], clouds[0], given, grid)
+    model = match.model
     lens_m = lens_offset(clouds[0], model)
     rings = [nearest_ring(elevations(points, lens_m), model.elevation_rad) for points in clouds]
-    each = []
+    pooled, each = len(clouds) >= FEWEST_CLOUDS, []
     for name, points, ring in zip(names, clouds, rings, strict=True):
-        each.append(_named(name, fit_road, points, ring, model.rings, facing))
+        if not identify_sensor(elevations(points), [model]).matches:
+            raise InputError(f"{name}: its points are not on the rings of {model.name}, as those of {names[0]} are")
+        single = partial(fit_road, errors=not (pooled or each))
+        each.append(_named(name, single, points, ring, model.rings, facing))
         report()
+    _check_alike(names, each)
     points, ring, fit = clouds[0], rings[0], each[0]
-    if len(clouds) >= FEWEST_CLOUDS:
+    if pooled:
         points, ring = _background(clouds, rings, model, each, names)
         fit = _named("the background", fit_road, points, ring, model.rings, facing, clouds)
     return Commissioned(
-        model=model,
-        identified=identified,
+        match=match,
+        as_possible=as_possible,
         lens_m=lens_m,
         points=points,
         ring=ring,
@@ -136,7 +161,25 @@ def commission(
         each=tuple(each) if len(each) > 1 else (),
         blind_deg=_blind_sectors(np.concatenate(clouds), model, fit),
         dead_rings=_dead_rings(np.concatenate(rings), model.rings),
+        left_out=every - sum(map(len, clouds)),
     )
+
+
+def _returns(points: np.ndarray) -> np.ndarray:
+    """The points that are returns: some drivers write the origin where nothing returned."""
+    with np.errstate(invalid="ignore"):
+        return points[np.linalg.norm(points, axis=1) > _NEAREST_M]
+
+
+def _check_alike(names: Sequence[str], each: Sequence[RoadFit]) -> None:
+    """Refuse clouds of several mountings."""
+    heights, leans = [fit.height_m.value for fit in each], np.array([fit.pose.rotation[:, 2] for fit in each])
+    apart = math.degrees(math.acos(min(1.0, float((leans @ leans.T).min()))))
+    if np.ptp(heights) > _MOST_APART_M or apart > _MOST_APART_DEG:
+        raise InputError(
+            f"{names[0]} to {names[-1]}: hang {min(heights):.2f} to {max(heights):.2f} m above the road, and lean "
+            f"{apart:.1f} degrees apart; allowed: clouds of one LiDAR that does not move"
+        )
 
 
 def _named(name: str, what: Callable, *given: object):
@@ -164,35 +207,32 @@ def _check_metres(name: str, points: np.ndarray) -> None:
 
 def _sensor(
     name: str, points: np.ndarray, given: LidarModel | None, grid: np.ndarray | None
-) -> tuple[LidarModel, Identified]:
-    """The sensor of a cloud, and what its elevations say; without an answer, why."""
+) -> tuple[Match, tuple[str, ...]]:
+    """The sensor of a cloud, and which others it may be as well."""
+    if given is not None and given.rings < 2:
+        raise InputError(f"--sensor: {given.name} has one ring; allowed: two or more")
     on_floor = float((np.abs(points[:, 2]) < _FLOOR_M).mean())
     if on_floor > _MOST_ON_FLOOR:
         raise InputError(
             f"{name}: is in the road's frame: {100.0 * on_floor:.0f} % of its points lie at z = 0; allowed: the "
             f"sensor's own frame{_hung_at(points)}"
         )
-    identified = identify_sensor(elevations(points))
-    if given is not None:
-        own = identify_sensor(elevations(points), [given])
-        if not own.matches:
-            also = f"; its points are on those of {identified.matches[0].model.name}" if identified.matches else ""
-            raise InputError(
-                f"{name}: {100.0 * own.nearest.on_rings:.0f} % of its points are on the rings of {given.name}; "
-                f"allowed: a cloud of that sensor in its own frame{also}"
-            )
-        model, matches = given, own.matches
-    elif identified.matches:
-        matches = identified.matches
-        if grid is not None:
-            matches = _by_columns(name, matches, grid)
-        model = matches[0].model
-        identified = identified._replace(matches=matches)
-    else:
+    models = [load_model(one) for one in model_names()]
+    identified = identify_sensor(elevations(points), models + [given] * (given not in (None, *models)))
+    matches = identified.matches
+    if not matches:
         raise InputError(f"{name}: {_why_none(points, identified)}")
-    if grid is not None and given is not None:
-        _by_columns(name, matches, grid)
-    return model, identified
+    if given is not None:
+        matches = tuple(one for one in matches if one.model.name == given.name)
+        if not matches:
+            raise InputError(
+                f"{name}: its points are on the rings of {identified.matches[0].model.name}, not on those of "
+                f"{given.name}; allowed: a cloud of that sensor in its own frame"
+            )
+    if grid is not None:
+        matches = _by_columns(name, matches, grid)
+    others = (one.model.name for one in identified.matches if given is not None or one in matches)
+    return matches[0], tuple(one for one in others if one != matches[0].model.name)
 
 
 def _by_columns(name: str, matches: Sequence, grid: np.ndarray) -> tuple:
@@ -233,7 +273,7 @@ def _why_none(points: np.ndarray, identified: Identified) -> str:
 def _hung_at(points: np.ndarray) -> str:
     """The height about which points of the road's frame are on the rings of a sensor that hangs level, in words."""
     far = points[np.hypot(points[:, 0], points[:, 1]) > _FAR_M]  # where a few centimetres of height turn nothing
-    some = far[:: len(far) // 1500 + 1]
+    some = far[np.random.default_rng(0).permutation(len(far))[:800]]
     if len(some) < FEWEST_POINTS:
         return ""
     found = [
@@ -257,18 +297,20 @@ def _background(
     each: Sequence[RoadFit],
     names: Sequence[str],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What stands still, (n, 3) and rings (n,): by beam the median of the ranges, where most revolutions agree."""
-    columns = model.columns()
-    ranges = np.full((len(clouds), model.rings * columns), np.nan)
+    """What stands still, (n, 3) and rings (n,): by beam the point of the median range, where most agree."""
+    columns, every = model.columns(), np.concatenate(clouds)
+    index = np.full((len(clouds), model.rings * columns), -1)
+    start = np.cumsum([0, *map(len, clouds)])
     for row, (points, ring) in enumerate(zip(clouds, rings, strict=True)):
         column = (np.arctan2(points[:, 0], points[:, 1]) / (2.0 * math.pi) * columns).astype(int) % columns
-        ranges[row, ring * columns + column] = np.linalg.norm(points, axis=1)
-    often = np.flatnonzero(np.isfinite(ranges).sum(axis=0) > 0.5 * len(clouds))
-    ranges = ranges[:, often]
+        index[row, ring * columns + column] = np.arange(start[row], start[row + 1])
+    often = np.flatnonzero((index >= 0).sum(axis=0) > 0.5 * len(clouds))
+    index = index[:, often]
+    ranges = np.where(index >= 0, np.linalg.norm(every, axis=1)[index], np.nan)
     middle = np.nanmedian(ranges, axis=0)
-    still = (np.abs(ranges - middle) < _STILL_M + _STILL_BY_RANGE * middle).sum(axis=0) > 0.5 * len(clouds)
-    ring, column = np.divmod(often, columns)
-    points = middle[:, None] * beam_directions((column + 0.5) * 2.0 * math.pi / columns, model.elevation_rad[ring])
+    off = np.abs(ranges - middle)
+    still = (off < _STILL_M + _STILL_BY_RANGE * middle).sum(axis=0) > 0.5 * len(clouds)
+    points = every[index[np.nanargmin(off, axis=0), np.arange(len(often))]]
     high = each[0].pose.to_world(points)[:, 2] + each[0].pose.height_m > _HIGH_M
     share = float(still[high].mean()) if high.sum() >= _FEWEST_HIGH else 1.0
     if share < _MOVES:
@@ -276,7 +318,7 @@ def _background(
             f"{names[0]} to {names[-1]}: {100.0 * share:.0f} % of what lies more than {_HIGH_M:g} m above the road "
             "stands still from cloud to cloud; allowed: clouds of a LiDAR that does not move"
         )
-    return points[still], ring[still]
+    return points[still], often[still] // columns
 
 
 # --- What the sensor does not see -------------------------------------------------------------------------------------
@@ -284,23 +326,26 @@ def _background(
 
 def _blind_sectors(points: np.ndarray, model: LidarModel, fit: RoadFit) -> tuple[tuple[float, float], ...]:
     """Sectors without a return, though beams there would meet the road nearby [degrees clockwise from +y]."""
-    azimuth = np.arange(0, 360, _SECTOR_DEG) + 0.5 * _SECTOR_DEG
-    way = beam_directions(np.radians(azimuth), model.elevation_rad[:, None])
+    way = beam_directions(np.radians(np.arange(360) + 0.5), model.elevation_rad[:, None])
     down = -(way @ fit.pose.rotation)[..., 2]
     meets = ((down > 0.0) & (fit.pose.height_m < _GROUND_M * down)).sum(axis=0) >= 2
     bearing = np.degrees(np.arctan2(points[:, 0], points[:, 1])) % 360.0
-    empty = (np.bincount((bearing / _SECTOR_DEG).astype(int) % len(azimuth), minlength=len(azimuth)) == 0) & meets
-    if empty.all() or not empty.any():
+    count = np.bincount(bearing.astype(int) % 360, minlength=360)
+    usual = float(np.median(count[meets])) if meets.any() else 0.0
+    empty = (count < _STRAYS * usual) & meets
+    if empty.all() or not empty.any() or _BLIND_DEG * usual < _MISSING:
         return ()
     first = int(np.flatnonzero(~empty)[0])
-    turned = np.append(np.roll(empty, -first), False)
-    edges = np.flatnonzero(np.diff(turned.astype(int)))
+    edges = np.flatnonzero(np.diff(np.append(np.roll(empty, -first), False).astype(int)))
     sectors = [(int(a) + 1 + first, int(b) + 1 + first) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return tuple((float(a % 360), float((b - 1) % 360 + 1)) for a, b in sectors if b - a >= _BLIND_DEG)
 
 
 def _dead_rings(ring: np.ndarray, rings: int) -> tuple[int, ...]:
-    """Rings with next to no returns between two that have many, to which they did not go: beams of units may cross."""
+    """Rings with next to no returns between two that have many, to which they did not go: beams of units may cross.
+
+    Not the three lowest and highest, nor two that are neighbours.
+    """
     count = np.bincount(ring, minlength=rings).astype(float)
     found = []
     for one in range(3, rings - 3):
@@ -405,11 +450,11 @@ def result_of(found: Commissioned, axes: str, plan: Mapping | None) -> dict:
             every = [unit * _measured(other)[key][0].value for other in found.each if key in _measured(other)]
             mounting[key]["sd_of_clouds"] = float(np.std(every, ddof=1)) if len(every) > 1 else None
     check, bias = fit.ring_check, fit.range_error_m
-    nearest = found.identified.nearest
     return {
         "sensor": found.model.name,
-        "as_possible": [one.model.name for one in found.identified.matches if one.model.name != found.model.name],
-        "on_rings": (found.identified.matches or [nearest])[0].on_rings,
+        "as_possible": list(found.as_possible),
+        "on_rings": found.match.on_rings,
+        "left_out": found.left_out,
         "axes": axes,
         "pose": fit.pose.as_table(),
         "mounting": mounting,

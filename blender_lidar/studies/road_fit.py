@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..sensors.pose import Pose, tilts_of
-from .road_surface import FEWEST_POINTS, RING_SD_RAD, SECTORS, Ground, RingCheck, SurfaceFit, fit_surface
+from .road_surface import FEWEST_POINTS, RING_SD_RAD, SECTORS, Ground, RingCheck, RoadFrame, SurfaceFit, fit_surface
 
 _REACH_M, _NEAREST_M = 45.0, 1.0  # of ground that is fitted
 _STEEPEST = math.cos(math.radians(50.0))  # between the sensor's upright axis and the road's
@@ -23,6 +23,8 @@ _HEIGHTS_M = (0.5, 40.0)
 _TRIALS, _TRIED = 400, 6000  # of the plane's random samples, and points
 _NOISE_M, _NOISE_BY_RANGE = 0.012, 0.0008  # of the ground about its surface
 _SYSTEMATIC_M, _SYSTEMATIC_RAD = 0.012, math.radians(0.05)  # what an uneven road adds, standard deviations
+_RANGE_M = 0.015  # the same of the error of ranges, which bends of the road are taken for
+_RAILS_RAD, _VEHICLES_RAD = math.radians(0.15), math.radians(0.4)  # of directions: rails bend, bodies taper
 _Z_90 = 1.645
 
 
@@ -61,7 +63,7 @@ class RoadFit:
     Attributes
     ----------
     pose : Pose
-        The sensor's, with x_m = y_m = 0.
+        The sensor's, with x_m = y_m = 0; its yaw is the planned one, or 0, where none was measured.
     height_m, tilt_x, tilt_y : Estimate
         [m, rad]; the tilts do not depend on the yaw.
     yaw : Estimate or None
@@ -73,14 +75,15 @@ class RoadFit:
     range_error_m : Estimate
         By which all ranges seem too long [m].
     ring_error_rad : ndarray, (r,)
-        By which the table's elevation of each ring seems too high [rad]; 0 where the ring saw no road.
+        By which the cloud's elevation of each ring seems too high [rad]; 0 where the ring saw no road.
     ring_sd_rad : ndarray, (r,)
         Standard error of these; inf where the ring saw no road.
     ground : ndarray of bool, (n,)
         Which points lie on the road's surface.
     residual_m : float
         Median distance of these from it.
-    ring_check : RingCheck
+    ring_check : RingCheck or None
+        None where the errors were not asked for.
     """
 
     pose: Pose
@@ -95,7 +98,7 @@ class RoadFit:
     ring_sd_rad: np.ndarray
     ground: np.ndarray
     residual_m: float
-    ring_check: RingCheck
+    ring_check: RingCheck | None
 
 
 # --- The plane, and the direction of the road -------------------------------------------------------------------------
@@ -162,6 +165,10 @@ class _Seen(NamedTuple):
     corner: np.ndarray
     rail: np.ndarray
 
+    def pick(self, rows: np.ndarray) -> _Seen:
+        """Some of it."""
+        return _Seen(*(column[rows] for column in self))
+
 
 _CELL_M, _STANDS_M, _FEWEST_OF_ONE = 0.35, (0.35, 2.5), 25
 _LENGTHS_M, _RAIL_M = (2.5, 20.0), 25.0
@@ -208,12 +215,12 @@ def _l_shape(xy: np.ndarray) -> tuple[float, ...]:
     return heading % math.pi, float(max(lengths)), *xy.min(axis=0), *xy.max(axis=0)
 
 
-def _direction(seen: _Seen) -> tuple[Estimate | None, str]:
-    """The road's direction mod 180 degrees [rad], by rails if there are two, else by what stands on it."""
-    rails = seen.rail.sum() >= 2
-    heading, weight = (
-        (seen.heading[seen.rail], seen.length[seen.rail]) if rails else (seen.heading, seen.length.clip(0.0, 8.0))
-    )
+def _direction(still: _Seen, each: Sequence[_Seen]) -> tuple[Estimate | None, str]:
+    """The road's direction mod 180 degrees [rad]: by rails of what stands still, else by the vehicles of each cloud."""
+    rails = still.rail.sum() >= 2
+    found = [still.pick(still.rail)] if rails else [one.pick(~one.rail) for one in each]
+    heading, length = (np.concatenate([getattr(one, key) for one in found]) for key in ("heading", "length"))
+    weight = length if rails else length.clip(0.0, 8.0)
     if len(heading) < (2 if rails else 3):
         return None, ""
     middle = 0.5 * np.angle((weight * np.exp(2j * heading)).sum())
@@ -224,8 +231,8 @@ def _direction(seen: _Seen) -> tuple[Estimate | None, str]:
             return None, ""
         middle += _weighted_median(off[alike], weight[alike])
     spread = 1.4826 * float(np.median(np.abs(off[alike] - np.median(off[alike]))))
-    error = 1.25 * spread / math.sqrt(alike.sum())
-    return Estimate(float(middle), error, math.radians(0.15 if rails else 0.3)), "rails" if rails else "vehicles"
+    error = 1.25 * spread / math.sqrt(alike.sum() / len(found))  # one cloud may show what another does
+    return Estimate(float(middle), error, _RAILS_RAD if rails else _VEHICLES_RAD), "rails" if rails else "vehicles"
 
 
 def _weighted_median(values: np.ndarray, weight: np.ndarray) -> float:
@@ -240,6 +247,8 @@ def fit_road(
     rings: int,
     facing: float | None = None,
     traffic: Sequence[np.ndarray] = (),
+    *,
+    errors: bool = True,
 ) -> RoadFit:
     """Where the LiDAR of a cloud hangs above a straight road.
 
@@ -257,6 +266,8 @@ def fit_road(
     traffic : sequence of ndarray, (k, 3)
         Single clouds of the same mounting, where `points` are a background without vehicles: these show the direction
         of the road, and where it is driven on.
+    errors : bool
+        Whether standard errors are found; else they are 0.
 
     Raises
     ------
@@ -268,11 +279,10 @@ def fit_road(
     flat = points @ level + [0.0, 0.0, height]
     each = [_standing(one @ level + [0.0, 0.0, height]) for one in traffic or [points]]
     seen = _Seen(*(np.concatenate(columns) for columns in zip(*each, strict=True)))
-    direction, direction_from = _direction(seen)
-    turn = 0.0 if direction is None else direction.value
-    turn = _along(turn, seen, facing)
+    direction, direction_from = _direction(_standing(flat) if traffic else seen, each)
+    turn = _along(direction.value, seen, facing) if direction else -(facing or 0.0)
     ground, rows = _near_ground(points, ring, flat, normal, height, turn)
-    road = fit_surface(ground, rings, _driven(seen, turn) or (-20.0, 20.0))
+    road = fit_surface(ground, rings, _driven(seen, turn), errors=errors)
     cos, sin = math.cos(turn), math.sin(turn)
     up = np.array([-road.frame.along, -road.frame.across, 1.0])
     up /= np.linalg.norm(up)
@@ -283,16 +293,16 @@ def fit_road(
     above = (height - road.frame.level) * float(up[2])
     # Slopes along and across turn the sensor about the road's axes; the tilts are about its own.
     about = abs(math.cos(yaw)), abs(math.sin(yaw))
-    error = max(road.errors.level, road.level_sd_m)
+    spread = road.errors or RoadFrame(0.0, 0.0, 0.0)
     return RoadFit(
         pose=Pose(0.0, 0.0, above, tilt_x, tilt_y, yaw),
-        height_m=Estimate(above, error, math.hypot(_SYSTEMATIC_M, road.frame.level_doubt)),
-        tilt_x=_about(about, road, tilt_x),
-        tilt_y=_about(about[::-1], road, tilt_y),
+        height_m=Estimate(above, max(spread.level, road.level_sd_m), math.hypot(_SYSTEMATIC_M, road.doubt.level)),
+        tilt_x=_about(about, spread, road.doubt, tilt_x),
+        tilt_y=_about(about[::-1], spread, road.doubt, tilt_y),
         yaw=None if direction is None else direction._replace(value=yaw),
         direction_from=direction_from,
         carriageways=tuple(_carriageway(*one, road, height) for one in zip(road.strips, road.levels, strict=True)),
-        range_error_m=Estimate(*road.range_error_m, 0.0),
+        range_error_m=Estimate(*road.range_error_m, _RANGE_M),
         ring_error_rad=road.ring_error_rad,
         ring_sd_rad=np.where(road.ring_sd_rad < 0.99 * RING_SD_RAD, road.ring_sd_rad, np.inf),
         ground=np.isin(np.arange(len(points)), rows[road.ground]),
@@ -301,11 +311,11 @@ def fit_road(
     )
 
 
-def _about(share: tuple[float, float], road: SurfaceFit, tilt: float) -> Estimate:
+def _about(share: tuple[float, float], spread: RoadFrame, doubt: RoadFrame, tilt: float) -> Estimate:
     """A tilt with its errors, of which the slopes across and along the road have shares."""
     across, along = share
-    error = math.hypot(across * road.errors.across, along * road.errors.along)
-    return Estimate(tilt, error, math.hypot(_SYSTEMATIC_RAD, across * road.frame.across_doubt))
+    error = math.hypot(across * spread.across, along * spread.along)
+    return Estimate(tilt, error, math.hypot(_SYSTEMATIC_RAD, across * doubt.across))
 
 
 def _carriageway(

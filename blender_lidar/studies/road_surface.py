@@ -27,8 +27,10 @@ _MOST_BREAKS, _APART_M, _WORTH = 4, 2.0, 0.03  # of f; how much of the section a
 _BIN_M, _LEVEL_M, _FEWEST_OF_STRIP = 0.5, 0.06, 15  # of the section
 _FINE_M, _ROUGH_M = 0.005, 0.03  # of the section about its pieces
 _BESIDE_M = 10.0  # what vehicles drive on, as far as the section is looked at
+_WITHOUT_TRAFFIC = -20.0, 20.0  # what is looked at where no vehicles are [m]
 _UNDER_M = 2.0  # about y = 0, where the height is
 _RING_GROUPS = 8
+_ROUNDS = 8  # of weighted least squares
 
 
 class Ground(NamedTuple):
@@ -52,13 +54,11 @@ class Ground(NamedTuple):
 
 
 class RoadFrame(NamedTuple):
-    """The level under the LiDAR [m], slopes along and across the road, and the doubt in the first and the last."""
+    """The level under the LiDAR [m], and the slopes along and across the road."""
 
     level: float
     along: float
     across: float
-    level_doubt: float
-    across_doubt: float
 
 
 class RingCheck(NamedTuple):
@@ -86,8 +86,8 @@ class SurfaceFit:
     ----------
     strips : list of (float, float)
         Of smooth road that vehicles drive on, y from the right [m].
-    frame, errors : RoadFrame
-        Of the road, and their standard errors.
+    frame, errors, doubt : RoadFrame
+        Of the road; their standard errors, and what they are in doubt by besides, for what is not seen of the road.
     levels : list of (float, float)
         Of the surface at the ends of each strip [m].
     range_error_m : (float, float)
@@ -105,7 +105,8 @@ class SurfaceFit:
 
     strips: list[tuple[float, float]]
     frame: RoadFrame
-    errors: RoadFrame
+    errors: RoadFrame | None
+    doubt: RoadFrame
     levels: list[tuple[float, float]]
     range_error_m: tuple[float, float]
     ring_error_rad: np.ndarray
@@ -113,28 +114,35 @@ class SurfaceFit:
     level_sd_m: float
     ground: np.ndarray
     residual_m: float
-    ring_check: RingCheck
+    ring_check: RingCheck | None
 
 
-def fit_surface(ground: Ground, rings: int, driven: tuple[float, float]) -> SurfaceFit:
+def fit_surface(ground: Ground, rings: int, driven: tuple[float, float] | None, *, errors: bool = True) -> SurfaceFit:
     """The road's surface among points near it, of a sensor with so many rings.
 
-    `driven` is from where to where across the road vehicles are seen [m].
+    `driven` is from where to where across the road vehicles are seen [m], None without any; `errors` and the check of
+    the rings take most of the time.
+
+    The jackknife adds two whole estimates of one variance, which is too much; it holds direction, bends and strips,
+    which is too little. The halves of the ring check share the choice of the points.
 
     Raises
     ------
     InputError
         Where no strip of road is seen.
     """
+    known, driven = driven is not None, driven or _WITHOUT_TRAFFIC
     span = math.floor(min(driven[0], 0.0) - _BESIDE_M), math.ceil(max(driven[1], 0.0) + _BESIDE_M)
     profile = _profile(ground, span)
     breaks = _breaks(profile)
-    residual = ground.z - _bent(ground.t, breaks) @ _section(*profile, breaks)[1]
+    section = _section(*profile, breaks)[1]
+    residual = ground.z - _bent(ground.t, breaks) @ section
     strips = _strips(ground, residual, span, driven)
     if not strips:
         raise InputError("no strip of road 3 m wide is seen")
     # What lies beside the road has slopes of its own.
     kept = (np.abs(ground.t) < _UNDER_M) | np.any([(ground.t >= a) & (ground.t <= b) for a, b in strips], axis=0)
+    beyond = _slopes(section, breaks, _planes(breaks, _strips(ground, residual, span, span if known else driven)))
     breaks, part = _breaks_within(breaks, strips), ground.pick(kept)
     solved = _surface(part, breaks, rings, residual[kept])
     on = solved.weight > 0.0
@@ -143,8 +151,9 @@ def fit_surface(ground: Ground, rings: int, driven: tuple[float, float]) -> Surf
     lies[np.flatnonzero(kept)[on]] = True
     return SurfaceFit(
         strips=strips,
-        frame=_read(solved, breaks, strips),
-        errors=_jackknife(part, breaks, strips, rings, solved.residual),
+        frame=_frame(solved, breaks, strips)[0],
+        errors=_jackknife(part, breaks, strips, rings, solved.residual) if errors else None,
+        doubt=_doubt(solved, breaks, strips, beyond, known),
         levels=[tuple(_height_across(solved.x, breaks, np.array(strip)).tolist()) for strip in strips],
         range_error_m=(float(solved.x[-1]), float(posterior[-1])),
         ring_error_rad=solved.ring_error,
@@ -152,7 +161,7 @@ def fit_surface(ground: Ground, rings: int, driven: tuple[float, float]) -> Surf
         level_sd_m=float(posterior[0]),
         ground=lies,
         residual_m=float(np.median(np.abs(solved.residual[on]))),
-        ring_check=_ring_check(part.pick(on), breaks, strips, rings, solved.residual[on]),
+        ring_check=_ring_check(part.pick(on), breaks, strips, rings, solved.residual[on]) if errors else None,
     )
 
 
@@ -176,7 +185,6 @@ def _surface(
     breaks: Sequence[float],
     rings: int,
     residual: np.ndarray,
-    rounds: int = 8,
     ring_sd: float = RING_SD_RAD,
 ) -> _Solved:
     """Least squares with Tukey's weights: the surface, with normal priors for the sensor's errors.
@@ -186,7 +194,7 @@ def _surface(
     design = np.column_stack([_bent(ground.t, breaks), ground.s, ground.s**2, ground.by_range])
     prior = np.full(design.shape[1], 1e-9)
     prior[-2:] = 1.0 / _BEND_SD**2, 1.0 / _RANGE_SD_M**2
-    for turn in range(rounds):
+    for turn in range(_ROUNDS):
         window = ground.noise * max(6.0 - turn, 3.0)
         weight = (1.0 - (residual / window) ** 2).clip(0.0) ** 2
         weight *= min(1.0, _INDEPENDENT / max(weight.sum(), 1.0)) / ground.noise**2
@@ -302,31 +310,55 @@ def _strips(
     return found
 
 
-def _read(solved: _Solved, breaks: Sequence[float], strips: Sequence[tuple[float, float]]) -> RoadFrame:
-    """What a fitted surface says of the road's frame.
+def _slopes(x: np.ndarray, breaks: Sequence[float], planes: Sequence[tuple[float, float]]) -> np.ndarray:
+    """Slopes across the road of planes (p,)."""
+    low, high = np.array(planes).T
+    return (_height_across(x, breaks, high) - _height_across(x, breaks, low)) / (high - low)
 
-    The slope across is the mean of both sides of the crown, the break at which the surface turns down most, whatever is
-    seen of each. Where there is none, or it is no crown, the mean over the width is as good: a quarter of what these
-    differ by is in doubt. Where the LiDAR stands between two carriageways, the level is the mean of both prolonged.
+
+def _frame(
+    solved: _Solved, breaks: Sequence[float], strips: Sequence[tuple[float, float]]
+) -> tuple[RoadFrame, float, float]:
+    """The road's frame by a fitted surface; its mean slope across, and how far two prolonged levels are apart [m].
+
+    The slope across is the mean of both sides of the crown, the bend at which the surface turns down most, whatever is
+    seen of each. Where the LiDAR stands between two carriageways, the level is the mean of both prolonged.
     """
     planes = _planes(breaks, strips)
     low, high = np.array(planes).T
-    levels = np.array([_height_across(solved.x, breaks, ends) for ends in (low, high)])
-    widths, slopes = high - low, (levels[1] - levels[0]) / (high - low)
+    widths, slopes = high - low, _slopes(solved.x, breaks, planes)
     whole = across = float(widths @ slopes / widths.sum())
     if len(planes) > 1:
         crown = int(np.argmax(slopes[:-1] - slopes[1:])) + 1
         sides = slice(crown), slice(crown, None)
         across = 0.5 * sum(float(widths[of] @ slopes[of] / widths[of].sum()) for of in sides)
-    level, doubt = float(_height_across(solved.x, breaks, 0.0)), 0.0
+    level, apart = float(_height_across(solved.x, breaks, 0.0)), 0.0
     right, left = np.flatnonzero(high <= 0.0), np.flatnonzero(low >= 0.0)
     if len(right) and len(left):  # in a median
-        ends = (
-            levels[1, right[-1]] - slopes[right[-1]] * high[right[-1]],
-            levels[0, left[0]] - slopes[left[0]] * low[left[0]],
-        )
-        level, doubt = float(0.5 * (ends[0] + ends[1])), float(0.5 * abs(ends[0] - ends[1]))
-    return RoadFrame(level, float(solved.x[-3]), across, doubt, 0.25 * abs(across - whole))
+        edges = (high[right[-1]], slopes[right[-1]]), (low[left[0]], slopes[left[0]])
+        one, other = (float(_height_across(solved.x, breaks, at) - slope * at) for at, slope in edges)
+        level, apart = 0.5 * (one + other), abs(one - other)
+    return RoadFrame(level, float(solved.x[-3]), across), whole, apart
+
+
+def _doubt(
+    solved: _Solved,
+    breaks: Sequence[float],
+    strips: Sequence[tuple[float, float]],
+    beyond: np.ndarray,
+    known: bool,
+) -> RoadFrame:
+    """What is in doubt of the road's frame: half of what two prolonged levels are apart, and the slope across.
+
+    Where a crown is seen between vehicles, a quarter of what the mean of its sides and that over the width differ by.
+    Where none is, or no vehicles are `known`, it may lie elsewhere: half of the most by which another plane of the
+    section slopes otherwise; their slopes are `beyond` (p,).
+    """
+    frame, whole, apart = _frame(solved, breaks, strips)
+    across = 0.25 * abs(frame.across - whole)
+    if not known or len(_planes(breaks, strips)) == 1:
+        across = max(across, 0.5 * float(np.abs(beyond - frame.across).max()))
+    return RoadFrame(0.5 * apart, 0.0, across)
 
 
 def _breaks_within(breaks: Sequence[float], strips: Sequence[tuple[float, float]]) -> list[float]:
@@ -348,11 +380,11 @@ def _planes(breaks: Sequence[float], strips: Sequence[tuple[float, float]]) -> l
 
 
 def _jackknife(ground: Ground, breaks, strips, rings: int, residual: np.ndarray) -> RoadFrame:
-    """Standard errors of what the surface says, over sectors and over groups of rings."""
-    total = np.zeros(5)
+    """Standard errors of the road's frame, over sectors and over groups of rings."""
+    total = np.zeros(3)
     for group, number in ((ground.sector, SECTORS), (ground.ring % _RING_GROUPS, _RING_GROUPS)):
         parts = [
-            _read(_surface(ground.pick(group != one), breaks, rings, residual[group != one]), breaks, strips)
+            _frame(_surface(ground.pick(group != one), breaks, rings, residual[group != one]), breaks, strips)[0]
             for one in range(number)
             if (group == one).any()
         ]
