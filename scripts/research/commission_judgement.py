@@ -66,7 +66,7 @@ def _judge(argv) -> None:
 
 
 def cloud_of(name: str, seed: int) -> tuple[np.ndarray, Mounting, float]:
-    """One revolution in its sensor's frame (n, 3) [m], the mounting that it is seen from, and the error of ranges [m]."""
+    """One revolution in its sensor's frame (n, 3) [m], the mounting that it is seen from, and the error of ranges."""
     rng = np.random.default_rng([7, seed])
     settings = {
         ("sensor", "name"): name,
