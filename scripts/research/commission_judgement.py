@@ -49,7 +49,7 @@ def _judge(argv) -> None:
             except InputError as error:
                 refused.append(f"{number} {error}")
             else:
-                named += name in (one.model.name for one in found.identified.matches)
+                named += name in (found.model.name, *found.as_possible)
                 rows.append(_row(found.fit, mounting.pose, error))
             advance(1)
     off, holds, width = np.array(rows).transpose(1, 0, 2)
