@@ -26,6 +26,9 @@ Protocol, of 2026-11-28, written before it was run:
 - Options beside the chosen pair, by the same rule, each against the pair alone: noise of 0.03 m; noise that grows with
   weakness, 0.03 m for the weakest return that counts, as the range over the detection range; and one glass beam in
   eight that returns from 0.3 to 1.5 m behind the pane (a surface of reflectivity 0.1 that faces the beam).
+
+Outcome: the defaults stay. On the judging half 0.2 and 0.03 lower the objective by 0.013 bits, with an interval that
+reaches 0, and KITTI's validation split loses 0.008; no option gains.
 """
 
 from __future__ import annotations
@@ -74,6 +77,9 @@ class Way(NamedTuple):
     behind: float = 0.0
 
 
+OLD = Way(0.5, 0.1, V2R_M)
+
+
 class Case(NamedTuple):
     """A recorded cloud's vehicles beside their shapes: `seen` by level of detail, as from `PairedFrame.simulate`."""
 
@@ -91,12 +97,9 @@ def _study(argv):
     parser = parser_of(__doc__)
     parser.add_argument("--roadside", required=True, type=Path, metavar="DIR")
     parser.add_argument("--kitti", required=True, type=Path, metavar="DIR")
-    parser.add_argument("--check", action="store_true", help="only the table of the roadside clouds, nothing chosen")
     args = parser.parse_args(argv)
     cases = list(roadside_cases(args.roadside))
-    print("\n".join(_table(cases)), flush=True)
-    if not args.check:
-        print("\n".join(_decide(cases, *kitti_cases(args.kitti))))
+    print("\n".join([*_table(cases), *_decide(cases, *kitti_cases(args.kitti))]))
 
 
 # --- The clouds -------------------------------------------------------------------------------------------------------
@@ -222,25 +225,22 @@ def _in(of, band):
 
 def difference(new: Mapping, old: Mapping, cluster: np.ndarray, bands=BANDS_M) -> tuple[float, float, float]:
     """Objective of one less that of another, and its 90 % interval over resampled clusters (n,)."""
-    both = []
+    labels, row = np.unique(cluster, return_inverse=True)
+    weights = resampled_weights(len(labels), np.random.default_rng(1), RESAMPLES)[:, row]
+    drawn = np.zeros(RESAMPLES)
     for band in bands:
         mine = _in(new, band)
-        both.append(_medians(np.abs([new["error"][mine], old["error"][mine]]), cluster[mine], cluster))
-    drawn = np.nanmean([one[0] - one[1] for one in both], axis=0)
-    return objective(new, bands) - objective(old, bands), *interval_90(drawn)
+        both = [_medians(np.abs(of["error"][mine]), weights[:, mine]) for of in (new, old)]
+        drawn += (both[0] - both[1]) / len(bands)
+    return objective(new, bands) - objective(old, bands), *interval_90(drawn[np.isfinite(drawn)])
 
 
-def _medians(values, cluster, every):
-    """As `resampled_medians`, but clusters are drawn from all, so that all bands have the same draws."""
-    labels = np.unique(every)
-    weights = resampled_weights(len(labels), np.random.default_rng(1), RESAMPLES)[:, np.searchsorted(labels, cluster)]
-    medians = []
-    for of_one in values:
-        order = np.argsort(of_one, kind="stable")
-        reached = np.cumsum(weights[:, order], axis=1)
-        middle = of_one[order][np.argmax(reached >= 0.5 * reached[:, -1:], axis=1)]
-        medians.append(np.where(reached[:, -1] > 0, middle, np.nan))
-    return medians
+def _medians(values, weights):
+    """Medians of values (n,) in each resample, by weights (r, n); NaN where it has none of them."""
+    order = np.argsort(values, kind="stable")
+    reached = np.cumsum(weights[:, order], axis=1)
+    middle = values[order][np.argmax(reached >= 0.5 * reached[:, -1:], axis=1)]
+    return np.where(reached[:, -1] > 0, middle, np.nan)
 
 
 # --- What comes of it -------------------------------------------------------------------------------------------------
@@ -248,96 +248,71 @@ def _medians(values, cluster, every):
 
 def _table(cases: Sequence[Case]) -> Iterator[str]:
     """Median absolute error and bias in each band, and simulated points by real ones, in several ways."""
-    ways = {
-        "all returns": (DETAIL, Way(0.5, 0.1)),
-        "160 m": (DETAIL, Way(0.5, 0.1, V2R_M)),
-        "160 m, 0.2, 0.03": (DETAIL, Way(0.2, 0.03, V2R_M)),
-        "detailed, all returns": ("detailed", Way(0.5, 0.1)),
-        "detailed, 160 m, 0.2, 0.03": ("detailed", Way(0.2, 0.03, V2R_M)),
-    }
-    for band, sure in product((*BANDS_M, (0.0, 20.0)), ("ABC", "AB")):
-        yield f"{band[0]:.0f} to {band[1]:.0f} m, confidence {sure}"
-        for name, (detail, way) in ways.items():
+    ways = {"all return": OLD._replace(range_m=np.inf), "160 m": OLD, "160 m, 0.2, 0.03": Way(0.2, 0.03, V2R_M)}
+    for band, sure, detail in product((*BANDS_M, (0.0, 20.0)), ("ABC", "AB"), ("body", "detailed")):
+        yield f"{band[0]:.0f} to {band[1]:.0f} m, confidence {sure}, {detail}"
+        for name, way in ways.items():
             of = errors(cases, way, detail)
             mine = _in(of, band) & np.isin(of["sure"], list(sure))
-            error, frame = of["error"][mine], of["frame"]
-            low, high = interval_90(_medians(np.abs(error)[None], frame[mine], frame)[0])
-            points = of["simulated_points"][mine].sum() / of["real_points"][mine].sum()
+            error, (labels, row) = of["error"][mine], np.unique(of["frame"][mine], return_inverse=True)
+            weights = resampled_weights(len(labels), np.random.default_rng(1), RESAMPLES)[:, row]
+            low, high = interval_90(_medians(np.abs(error), weights))
             yield (
-                f"  {name:28s} n {mine.sum():3d}  real {np.median(of['real_entropy_bits'][mine]):.3f}  error "
+                f"  {name:18s} n {mine.sum():3d}  real {np.median(of['real_entropy_bits'][mine]):.3f}  error "
                 f"{np.median(np.abs(error)):.3f} ({low:.3f} to {high:.3f})  bias {np.median(error):+.3f}  "
-                f"points x {points:.2f}"
+                f"points x {of['simulated_points'][mine].sum() / of['real_points'][mine].sum():.2f}"
             )
 
 
 def _decide(cases: Sequence[Case], kitti: Sequence[Case], about: Mapping, road: Sequence) -> Iterator[str]:
-    first = [case for case in cases if case.real["frame"][0] in FIRST_HALF]
-    other = [case for case in cases if case.real["frame"][0] not in FIRST_HALF]
-    pairs, old = [one for one in product(PAINT, GLASS) if one[1] < one[0]], Way(0.5, 0.1, V2R_M)
-    on_first = {pair: objective(errors(first, Way(*pair, V2R_M))) for pair in pairs}
+    halves = [[case for case in cases if (case.real["frame"][0] in FIRST_HALF) == first] for first in (True, False)]
+    pairs = [one for one in product(PAINT, GLASS) if one[1] < one[0]]
+    on_first = {pair: objective(errors(halves[0], Way(*pair, V2R_M))) for pair in pairs}
     best = min(on_first, key=on_first.get)
     chosen = (0.2, 0.03) if on_first[0.2, 0.03] <= on_first[best] + SLACK_BITS else best
-    yield f"first half: shipped {on_first[0.5, 0.1]:.4f}, best {best} {on_first[best]:.4f}, chosen {chosen}"
-    yield "  paint \\ glass " + " ".join(f"{glass:6.2f}" for glass in GLASS)
+    yield f"choosing half, best {best}, chosen {chosen}; by paint, with glass {GLASS}"
     for paint in PAINT:
-        yield f"  {paint:5.2f}         " + " ".join(f"{on_first.get((paint, g), np.nan):6.4f}" for g in GLASS)
+        yield f"  {paint:4.2f}  " + " ".join(f"{on_first.get((paint, glass), np.nan):6.4f}" for glass in GLASS)
     new = Way(*chosen, V2R_M)
-    for name, half in {"judging half": other, "choosing half": first, "both halves": cases}.items():
-        yield from _paired(name, half, old, new, BANDS_M)
-    swapped = min(pairs, key=lambda pair: objective(errors(other, Way(*pair, V2R_M))))
-    yield from _paired(f"swapped, {swapped} chosen on the judging half", first, old, Way(*swapped, V2R_M), BANDS_M)
+    for name, some in {"judging half": halves[1], "choosing half": halves[0], "both halves": cases}.items():
+        yield from _paired(name, some, OLD, new)
+    for pair in ((0.2, 0.04), (0.2, 0.05), (0.5, 0.05)):
+        yield from _paired(f"after the fact, {pair}, judging half", halves[1], OLD, Way(*pair, V2R_M))
     back, lost = np.sum(road, axis=0)
-    yield "KITTI's road, share that returns: " + ", ".join(
-        f"{x:.0f} m {hit / max(hit + gone, 1):.2f} of {hit + gone:.0f}"
-        for x, hit, gone in zip(ROAD_M, back, lost, strict=True)
-    )
-    near = ((10.0, 50.0),)
+    share = [f"{x:.0f} m {hit / max(hit + gone, 1):.2f}" for x, hit, gone in zip(ROAD_M, back, lost, strict=True)]
+    yield f"share of KITTI's road that returns: {', '.join(share)}; firings {(back + lost).astype(int).tolist()}"
+    near, old, kept_product = ((10.0, 50.0),), Way(0.5, 0.1, HDL_M), Way(*chosen, ANEW_M)
     frames = errors(kitti, old)["frame"]
     drives, fitted = clusters(frames, about).of_car, tuned(frames, about)
-    for name, kept in {"KITTI, all": np.ones(len(frames), dtype=bool), "KITTI, validation": ~fitted}.items():
+    for name, kept in {"all": np.ones(len(frames), dtype=bool), "validation": ~fitted}.items():
+        of = lambda way, kept=kept: {key: column[kept] for key, column in errors(kitti, way).items()}  # noqa: E731
         for reach in (ANEW_M, HDL_M, V2R_M):
-            yield _told(
-                f"{name}, {chosen} at {reach:.0f} m less (0.5, 0.1) at {HDL_M:.0f} m",
-                *(_kept(errors(kitti, Way(*way)), kept) for way in ((*chosen, reach), (0.5, 0.1, HDL_M))),
-                drives[kept],
-                near,
-            )
-        grid = {
-            (ratio, product_m): objective(_kept(errors(kitti, Way(0.2, 0.2 * ratio, product_m)), kept), near)
-            for ratio, product_m in product((0.1, 0.15, 0.2, 0.3, 0.5), (50.0, 63.0, 79.0, 100.0, 126.0, 160.0))
-        }
-        yield f"  {name}, paint 0.2: " + ", ".join(f"glass/paint {r} {m:.0f} m {v:.3f}" for (r, m), v in grid.items())
+            ways = of(Way(*chosen, reach)), of(old)
+            yield _told(f"KITTI, {name}, {chosen} at {reach:.0f} m less (0.5, 0.1) at 50 m", *ways, drives[kept], near)
+        for ratio, reach in product((0.1, 0.15, 0.2, 0.3, 0.5), (50.0, 63.0, 79.0, 100.0, 126.0)):
+            yield f"  paint 0.2, glass {0.2 * ratio:.2f}, {reach:.0f} m: {objective(of(Way(0.2, 0.2 * ratio, reach)), near):.3f}"
     options = {
         "noise 0.03 m": {"noise_m": 0.03},
-        "noise 0.01 m": {"noise_m": 0.01},
         "noise that grows with weakness": {"weak_noise_m": 0.03},
         "one glass beam in eight from behind": {"behind": 0.125},
     }
-    hdl = Way(*chosen, ANEW_M)
     for name, option in options.items():
-        yield from _paired(f"{name}: roadside", cases, new, new._replace(**option), BANDS_M)
-        ways = (errors(kitti, hdl._replace(**option)), errors(kitti, hdl))
-        yield _told(f"{name}: KITTI, all", *ways, drives, near)
+        yield from _paired(f"{name}: roadside", cases, new, new._replace(**option))
+        ways = errors(kitti, kept_product._replace(**option)), errors(kitti, kept_product)
+        yield _told(f"{name}: KITTI", *ways, drives, near)
 
 
-def _paired(name, cases, old, new, bands):
+def _paired(name, cases, old, new):
     of = [errors(cases, way) for way in (new, old)]
-    yield _told(name, *of, of[0]["frame"], bands)
-    for band in bands if len(bands) > 1 else ():
-        yield _told(f"  {band[0]:.0f} to {band[1]:.0f} m", *of, of[0]["frame"], (band,))
+    for band, said in ((BANDS_M, name), *(((band,), f"  {band[0]:.0f} to {band[1]:.0f} m") for band in BANDS_M)):
+        yield _told(said, *of, of[0]["frame"], band)
 
 
 def _told(name, new, old, cluster, bands):
-    number = sum(_in(new, band).sum() for band in bands)
     gap, low, high = difference(new, old, cluster, bands)
-    return (
-        f"{name}: {objective(old, bands):.4f} -> {objective(new, bands):.4f}, {gap:+.4f} ({low:+.4f} to {high:+.4f}), "
-        f"n {number}"
-    )
-
-
-def _kept(of, mask):
-    return {name: column[mask] for name, column in of.items()}
+    number = sum(_in(new, band).sum() for band in bands)
+    before, after = objective(old, bands), objective(new, bands)
+    return f"{name}: {before:.4f} -> {after:.4f}, {gap:+.4f} ({low:+.4f} to {high:+.4f}), n {number}"
 
 
 if __name__ == "__main__":
