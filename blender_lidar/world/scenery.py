@@ -20,11 +20,11 @@ from .triangles import place
 # Cross-sections from the ground up: height and half-width [m].
 # Concrete: the New Jersey profile of FHWA's Roadside Design Guide, 32 in high, 24 in wide at its foot, 6 in at its top.
 # Guard rail: the W-beam of the Midwest Guardrail System, 12.25 in high and 3.25 in deep with its top at 31 in.
-# Hedge: a clipped one in a median, through which nothing is seen; round numbers of ours.
+# Hedge: a clipped one against glare, in a median, through which nothing is seen; round numbers of ours.
 _SECTIONS = {
     "concrete": ((0.0, 0.305), (0.075, 0.305), (0.330, 0.127), (0.813, 0.076)),
     "guard_rail": ((0.476, 0.0415), (0.787, 0.0415)),
-    "hedge": ((0.0, 0.5), (1.2, 0.4)),
+    "hedge": ((0.0, 0.5), (1.6, 0.5)),
 }
 _POST_SPACING_M = 1.905  # 6 ft 3 in
 _POST_SIZE_M = (0.10, 0.15, 0.70)  # W6 x 9
@@ -48,7 +48,7 @@ def barrier(kind: str, y_m: float, x_m: Sequence[float]) -> Scenery:
     Parameters
     ----------
     kind : {"concrete", "guard_rail", "hedge"}
-        A median barrier of New Jersey's profile, a W-beam on posts, or a hedge 1.2 m high and 1 m wide.
+        A median barrier of New Jersey's profile, a W-beam on posts, or a hedge 1.6 m high and 1 m wide.
     y_m : float
         Its middle line.
     x_m : sequence of float

@@ -290,7 +290,8 @@ def _decide(cases: Sequence[Case], kitti: Sequence[Case], about: Mapping, road: 
             ways = of(Way(*chosen, reach)), of(old)
             yield _told(f"KITTI, {name}, {chosen} at {reach:.0f} m less (0.5, 0.1) at 50 m", *ways, drives[kept], near)
         for ratio, reach in product((0.1, 0.15, 0.2, 0.3, 0.5), (50.0, 63.0, 79.0, 100.0, 126.0)):
-            yield f"  paint 0.2, glass {0.2 * ratio:.2f}, {reach:.0f} m: {objective(of(Way(0.2, 0.2 * ratio, reach)), near):.3f}"
+            error = objective(of(Way(0.2, 0.2 * ratio, reach)), near)
+            yield f"  paint 0.2, glass {0.2 * ratio:.2f}, {reach:.0f} m: {error:.3f}"
     options = {
         "noise 0.03 m": {"noise_m": 0.03},
         "noise that grows with weakness": {"weak_noise_m": 0.03},

@@ -17,6 +17,7 @@ from blender_lidar.traffic.frames import instants
 
 Options = dict[tuple[str, str], tuple[object, str]]
 TWO_WAY_LANES, LANE_M = 4, 3.66  # of each carriageway; 12 ft
+HEDGES_FROM = 3  # of the kinds of medians
 
 
 def hard_world() -> Options:
@@ -51,17 +52,23 @@ def crossing_world() -> Options:
 
 
 def two_way_world(rng: np.random.Generator, median_m: float) -> Options:
-    """A road of two carriageways: in the median rails, concrete, a hedge or nothing, and perhaps rails outside."""
+    """A road of two carriageways: in the median rails, concrete, a hedge, hedge and rails or nothing; rails outside.
+
+    The hedge is a row of boxes, none alike and some missing, and clear of the LiDAR's pole.
+    """
     right, width = 2.0, TWO_WAY_LANES * LANE_M
     inner, outer = (right + width, right + width + median_m), (right, right + 2.0 * width + median_m)
     middle = 0.5 * sum(inner)
-    in_median = (
-        [],
-        [("guard_rail", inner[0] + 0.5), ("guard_rail", inner[1] - 0.5)],
-        [("concrete", middle)],
-        [("hedge", middle)],
-    )
-    standing = [*in_median[rng.integers(len(in_median))]]
+    rails = [("guard_rail", inner[0] + 0.5), ("guard_rail", inner[1] - 0.5)]
+    in_median = ([], rails, [("concrete", middle)], [], rails, rails)
+    kind, hedge = int(rng.integers(len(in_median))), []
+    high, wide = rng.uniform(0.8, 2.4), rng.uniform(0.6, min(2.0, median_m - 1.0))
+    for x in np.arange(-200.0, 200.0, 2.5) if kind >= HEDGES_FROM else ():
+        length, width, height = np.array([2.3, wide, high]) * rng.uniform(0.85, 1.1, 3)
+        if abs(x) > 2.5 and rng.random() > 0.1:
+            centre = [x, middle + rng.uniform(-0.1, 0.1), 0.5 * height]
+            hedge.append({"centre_m": centre, "size_m": [length, width, height]})
+    standing = [*in_median[kind]]
     standing += [("guard_rail", y) for y in (outer[0] - 0.6, outer[1] + 0.6) if rng.random() < 0.5]
     settings = {
         ("road", "carriageways"): 2,
@@ -69,6 +76,7 @@ def two_way_world(rng: np.random.Generator, median_m: float) -> Options:
         ("road", "right_edge_m"): width,
         ("road", "median_m"): median_m,
         ("world", "barriers"): [{"kind": kind, "y_m": y} for kind, y in standing],
+        ("world", "boxes"): hedge,
     }
     return {place: (value, place[1]) for place, value in settings.items()}
 
