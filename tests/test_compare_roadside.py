@@ -14,7 +14,8 @@ from blender_lidar.metrics.assignment import NO_BOX, points_in_boxes
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.studies.recorded import table_rings
-from compare_roadside import CLEARANCE_M, _medians, difference, roadside_frames
+from compare_roadside import CLEARANCE_M, _medians, difference
+from roadside_clouds import roadside_frames
 
 ROADSIDE = Path(__file__).parents[1].parent / "shared" / "data" / "chengdu"
 needs_roadside = pytest.mark.skipif(not ROADSIDE.is_dir(), reason=f"no recorded roadside clouds at {ROADSIDE}")

@@ -2,11 +2,9 @@
 
     python scripts/research/compare_roadside.py --roadside DIR --kitti DIR
 
-The roadside DIR has a revolution of an RS-Ruby-Lite-V2R in the median of a motorway, `revolution.npz`, further ones in
-float16, `frames_float16.npz`, and boxes fitted to their points, `vehicles_fitted.csv`, in the frame of the carriageway
-that each is on. The KITTI DIR is as for `compare_kitti.py`. A sensor sees a surface up to a range that goes with
-``range_at_10_percent_m ** 2 * reflectivity``: of each sensor these products alone are identified, and so are ratios of
-reflectivities, such as that of paint or glass to the road's 0.2.
+The roadside DIR is as for `roadside_clouds.py`, the KITTI DIR as for `compare_kitti.py`. A sensor sees a surface up to
+a range that goes with ``range_at_10_percent_m ** 2 * reflectivity``: of each sensor these products alone are identified,
+and so are ratios of reflectivities, such as that of paint or glass to the road's 0.2.
 
 Protocol, of 2026-11-28, written before it was run:
 
@@ -49,20 +47,15 @@ from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.statistics import interval_90, resampled_weights
 from blender_lidar.studies.compare import PairedFrame, Setup
-from blender_lidar.studies.recorded import NO_POINT, Firings, LabelledBoxes, RecordedFrame, Rings, table_rings
-from blender_lidar.traffic.vehicles import CLASSES, FLEET_KINDS, fleet_kind
+from blender_lidar.studies.recorded import NO_POINT, Firings, Rings, table_rings
 from compare_kitti import clusters, joined, rows_of, tuned
 from kitti_sweeps import KITTI_MARGIN_M, kitti_frame, kitti_names, recover_rings
+from roadside_clouds import FIRST_HALF, SECTOR_RAD, roadside_frames
 
-# Of the roadside sensor, found from the road: its height above the crown line [m], and of each carriageway the tilts
-# that make its plane level and the yaw that makes its lines parallel to x [degrees].
-HEIGHT_M, LENS_M, CLEARANCE_M = 3.49, 0.03612, 0.18
-CARRIAGEWAYS = {"left": (0.385 - 1.232, -0.075, 0.42), "right": (0.385 + 1.232, -0.075, 0.14)}
-SECTOR_RAD = np.radians(125.0)  # beyond it, aft, columns return nothing
-FIRST_HALF = ("raw", "348509", "348537", "348555", "348565", "348587")
 BANDS_M = ((10.0, 50.0), (50.0, 75.0), (75.0, 110.0))
 PAINT, GLASS = (0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.1), (0.1, 0.07, 0.05, 0.03, 0.02)
 V2R_M, HDL_M, ANEW_M = 160.0, 50.0, 79.0
+CLEARANCE_M = 0.18
 DETAIL, SLACK_BITS, RESAMPLES = "body", 0.005, 4000
 
 
@@ -103,36 +96,6 @@ def _study(argv):
 
 
 # --- The clouds -------------------------------------------------------------------------------------------------------
-
-
-def roadside_frames(folder: Path) -> Iterator[tuple[RecordedFrame, Pose, np.ndarray]]:
-    """Each carriageway of each cloud, the sensor's pose over it, and how sure each box (n,) is, A to D.
-
-    The lens turns at `LENS_M` from the axis, towards the column. Points and boxes are moved back by so much, level and
-    towards the axis, so that rays start on it.
-    """
-    rows, halves = rows_of(folder / "vehicles_fitted.csv"), np.load(folder / "frames_float16.npz")
-    for file in dict.fromkeys(row["file"] for row in rows):
-        points = np.load(folder / "revolution.npz")["xyz_m"] if file == "raw" else halves[f"s{file}000"]
-        points = points.reshape(-1, 3).astype(float)
-        points = _towards_axis(points[np.isfinite(points).all(axis=1)])
-        for side, tilts in CARRIAGEWAYS.items():
-            pose = Pose(0.0, 0.0, HEIGHT_M, *np.radians(tilts))
-            mine = [row for row in rows if (row["file"], row["carriageway"]) == (file, side)]
-            of = lambda *keys, mine=mine: np.array([[float(row[key]) for key in keys] for row in mine])  # noqa: E731
-            label, size = np.array([row["class"] for row in mine]), of("length_m", "width_m", "height_m")
-            kind = fleet_kind(np.array([CLASSES.index(name) for name in label]), size[:, 0])
-            centre, heading = _towards_axis(of("x_m", "y_m", "z_m")), np.radians(of("heading_deg")[:, 0])
-            boxes = LabelledBoxes(
-                of("vehicle_id")[:, 0].astype(int), label, np.array(FLEET_KINDS)[kind], centre, size, heading
-            )
-            known = np.array([row["confidence"] for row in mine])
-            yield RecordedFrame(file, f"{folder}: {file}", pose.position + pose.to_world(points), boxes), pose, known
-
-
-def _towards_axis(points: np.ndarray) -> np.ndarray:
-    rho = np.hypot(points[:, 0], points[:, 1])
-    return points * np.column_stack([1.0 - LENS_M / rho, 1.0 - LENS_M / rho, np.ones_like(rho)])
 
 
 def roadside_cases(folder: Path) -> Iterator[Case]:

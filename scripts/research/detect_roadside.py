@@ -2,7 +2,7 @@
 
     python scripts/research/detect_roadside.py --roadside DIR --detectors old.npz new.npz
 
-DIR is as for `compare_roadside.py`. Vehicles of confidence A to C count that are within 100 m and outside the blind
+DIR is as for `roadside_clouds.py`. Vehicles of confidence A to C count that are within 100 m and outside the blind
 sector; what meets another fitted box is neither a hit nor a false alarm. A hit is a centre within 2 m. Detectors look
 between the rails beside both carriageways, so into the median, too. The boxes come from the same points and some
 vehicles may have none: only differences between detectors count. The judging frames are those of `compare_roadside.py`;
@@ -26,7 +26,7 @@ from blender_lidar.detection.scores import CRITERIA, meetings
 from blender_lidar.scene.region import Region
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.statistics import interval_90, resampled_weights
-from compare_roadside import CARRIAGEWAYS, FIRST_HALF, HEIGHT_M, SECTOR_RAD, roadside_frames
+from roadside_clouds import CARRIAGEWAYS, FIRST_HALF, HEIGHT_M, SECTOR_RAD, roadside_frames
 
 CONFIDENCE, FARTHEST_M, EDGE_M = 0.3, 100.0, 16.8  # the last: the rails beside both carriageways
 BANDS_M = (0.0, 30.0, 50.0, 75.0, FARTHEST_M)
