@@ -3,7 +3,7 @@
     python scripts/research/compare_roadside.py --roadside DIR --kitti DIR
 
 The roadside DIR is as for `roadside_clouds.py`, the KITTI DIR as for `compare_kitti.py`. A sensor sees a surface up to
-a range that goes with ``range_at_10_percent_m ** 2 * reflectivity``: of each sensor these products alone are identified,
+a range that goes with ``range_at_10_percent_m ** 2 * reflectivity``: of a sensor these products alone are identified,
 and so are ratios of reflectivities, such as that of paint or glass to the road's 0.2.
 
 Protocol, of 2026-11-28, written before it was run:
