@@ -12,9 +12,9 @@ Every site of the training has its own slopes, clutter, reflectivities, mounting
 lies to either side of the LiDAR (`pillar_training.shown` flips). Two sites of five have two carriageways, whose LiDAR
 hangs in the median or beside the road. With --crossings one of five is at the shipped intersection, each scan turned by
 any angle, with vehicles that turn and people who walk and are none of the boxes. Stopped and started again it goes on
-where it was: clouds and checkpoints are kept in --work.
-The same seed gives the same weights on the same machine with the same number of threads; elsewhere sums are added up in
-another order.
+where it was: clouds and checkpoints are kept in --work. The weights that ship are older, and saw single carriageways
+alone (docs/evidence/detection.md). The same seed gives the same weights on the same machine with the same number of
+threads; elsewhere sums are added up in another order.
 """
 
 from __future__ import annotations
@@ -312,6 +312,7 @@ def _ranges(windows: Mapping[str, Sequence[Window]]) -> dict[str, object]:
     some = every[:: max(1, len(every) // 300)]
     grounds = [fit_ground(one.points.astype(float)).residual_m for one in some]
     filled = [density(shown(one, (False, False), sys.maxsize, rng)[0]) for one in some]
+    filled = [points for points in filled if points > 0.0]  # far windows may be empty
     return {
         "sensors": list(windows),
         "height_m": [min(one.lidar_m for one in every), max(one.lidar_m for one in every)],
