@@ -13,6 +13,7 @@ import tests.research  # noqa: F401
 from blender_lidar.detection.pillar_network import forward, shapes
 from blender_lidar.detection.pillars import SHIPPED, Area, boxes_of, load_weights
 from blender_lidar.traffic.boxes import bev_iou, boxes_of_rows
+from blender_lidar.world.meshes import REFLECTIVITY
 from pillar_training import (
     WINDOW,
     JaxOperations,
@@ -24,7 +25,7 @@ from pillar_training import (
     shown,
     targets_of,
 )
-from train_detector import CROSSINGS, site_windows, train
+from train_detector import CROSSING, SITES, TWO_WAY, site_windows, train
 
 AREA = Area((-51.2, -9.6), *WINDOW)
 CARS = np.array([(-20.0, 5.0), (-11.3, 8.7), (0.3, 5.1), (17.9, 12.2), (33.3, 16.0)])
@@ -144,11 +145,12 @@ def test_training_learns_and_goes_on_after_a_stop_as_if_there_had_been_none(tmp_
 SCENES = Path(__file__).parents[1] / "scenes"
 
 
-def test_every_third_site_is_a_crossing_where_vehicles_head_anywhere_and_who_walks_is_no_box():
+def test_a_site_is_a_crossing_where_vehicles_head_anywhere_and_who_walks_is_no_box(tmp_path):
     pytest.importorskip("sumolib", reason="sumolib, of the extra maps, is not installed")
     traffic, crossings = [str(SCENES / "i80_sample.csv.gz")], [str(SCENES / "crossing_sample.xml.gz")]
-    road = list(site_windows("RS-16", 0, traffic, crossings, 3))
-    crossing = list(site_windows("RS-16", CROSSINGS - 1, traffic, crossings, 8))
+    number, table = SITES.index(CROSSING), tmp_path / "two_way.csv"
+    road = list(site_windows("RS-16", 0, traffic, crossings, 3, table))
+    crossing = list(site_windows("RS-16", number, traffic, crossings, 8, table))
     assert [len(road), len(crossing)] == [3, 8]
     off = [np.abs(np.sin(np.concatenate([one.boxes[:, 6] for one in windows]))) for windows in (road, crossing)]
     assert off[0].max() < np.sin(np.radians(15.0))
@@ -163,10 +165,23 @@ def test_every_third_site_is_a_crossing_where_vehicles_head_anywhere_and_who_wal
             for box in one.boxes[one.boxes[:, 8] > 20]:
                 cos, sin = np.cos(box[6]), turned * np.sin(box[6])
                 along = (one.points[:, :2] - turned * box[:2]) @ np.array([[cos, -sin], [sin, cos]])
-                held = (np.abs(along) < 0.5 * box[3:5] + 0.3).all(axis=1) & (np.abs(one.points[:, 2] - 0.9) < 0.8)
+                held = (np.abs(along) < 0.5 * box[3:5] + 0.3).all(axis=1)
                 found.append((held.sum(), box[8] if (np.abs(box[:2] - first - 0.5 * size) < 0.5 * size).all() else 0.0))
     share = [np.array(found)[:, 0].sum() / np.array(found)[:, 1].sum() for found in (within, astray)]
-    assert share[0] > 0.6
+    assert share[0] > 0.8
     assert share[1] < 0.3 * share[0]
-    straight = list(site_windows("RS-16", CROSSINGS - 1, traffic, [], 2))
+    straight = list(site_windows("RS-16", number, traffic, [], 2, table))
     assert max(np.abs(np.sin(one.boxes[:, 6])).max() for one in straight) < np.sin(np.radians(15.0))
+
+
+def test_a_site_in_a_median_has_traffic_both_ways_on_either_side_of_the_lidar(tmp_path):
+    traffic = [str(SCENES / "i80_sample.csv.gz")]
+    before, found = REFLECTIVITY.copy(), 0
+    for one in site_windows("RS-16", SITES.index(TWO_WAY), traffic, [], 6, tmp_path / "two_way.csv"):
+        near = one.boxes[np.abs(one.boxes[:, 1]) < 25.0]
+        ahead, left = np.cos(near[:, 6]), near[:, 1] > 0.0
+        assert np.abs(ahead).min() > np.cos(np.radians(15.0))
+        assert len({*np.sign(ahead[left])}) == len({*np.sign(ahead[~left])}) == 1
+        found += (ahead[left] * ahead[~left][0] < 0.0).all()
+    assert found == 6
+    np.testing.assert_array_equal(REFLECTIVITY, before)

@@ -27,7 +27,7 @@ from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.toml_table import read_toml, to_toml
 from blender_lidar.world.meshes import STRUCTURE
-from blender_lidar.world.scenery import BARRIERS, barrier, box, join
+from blender_lidar.world.scenery import BARRIERS, barrier, barrier_extent, box, join
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.refusals import refused
 from tests.report_samples import Page
@@ -83,7 +83,8 @@ def test_a_barrier_is_closed_faces_outwards_and_stands_where_it_is_put(kind):
     assert low[0] == -10.0
     assert high[0] == pytest.approx(15.0, abs=0.1)
     assert low[2] == 0.0
-    assert 0.7 < high[2] < 0.9
+    assert high[2] == barrier_extent(kind)[1]
+    assert high[1] - 24.0 == pytest.approx(barrier_extent(kind)[0])
     assert low[1] + high[1] == pytest.approx(48.0)
     assert (made.surface == STRUCTURE).all()
 
@@ -175,7 +176,7 @@ def test_a_scene_file_says_what_stands_there_and_is_written_as_it_was_read(tmp_p
         ({"boxes": [WALL, {**WALL, "size_m": [1, 0, 1]}]}, "[world] boxes 2 size_m: is 0; allowed: more than 0"),
         ({"boxes": [{**WALL, "colour": "red"}]}, "[world] boxes 1: unknown key 'colour'"),
         ({"boxes": [3]}, "[world] boxes 1: is 3; allowed: a table"),
-        ({"barriers": [{"kind": "hedge", "y_m": 1}]}, "[world] barriers 1 kind: unknown kind 'hedge'"),
+        ({"barriers": [{"kind": "fence", "y_m": 1}]}, "[world] barriers 1 kind: unknown kind 'fence'"),
         ({"barriers": [{"kind": "concrete"}]}, "[world] barriers 1 y_m: is missing"),
         ({"barriers": [{**RAIL, "x_m": 3}]}, "[world] barriers 1 x_m: is 3; allowed: a list"),
         ({"barriers": [{**RAIL, "x_m": [0, 1e5]}]}, "allowed: a pair [from, to], to after from"),
@@ -192,6 +193,7 @@ def test_scenery_that_cannot_be_meant_is_refused_with_its_number(tmp_path, world
     [
         ({"boxes": [{**WALL, "centre_m": [0.0, 0.0, 2.5]}]}, "wall", 2, 9),
         ({"barriers": [{"kind": "concrete", "y_m": 0.0}]}, "concrete at y 0 m", 0.5, 2),
+        ({"barriers": [{"kind": "hedge", "y_m": 0.4}]}, "hedge at y 0.4 m", 1, 2),
     ],
 )
 def test_a_lidar_inside_what_stands_there_is_refused_and_one_above_it_is_not(

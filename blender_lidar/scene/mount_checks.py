@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import InputError
 from ..road.road_map import RoadMap
 from ..traffic.vehicles import PEDESTRIAN, Vehicles, rectangles_overlap
-from ..world.scenery import HALF_WIDTH_M, HEIGHT_M
+from ..world.scenery import barrier_extent
 from . import usual
 from .deployment import Place
 from .mounting import ANGLES, LEANS, PLACE, Mounting
@@ -172,12 +172,12 @@ def footprints_meet(
 
 def boxes_around(barrier: BarrierSettings, road: RoadMap) -> Iterator[BoxSettings]:
     """A box about each straight piece of a barrier."""
-    name = f"{barrier.kind} at y {barrier.y_m:g} m"
+    name, (half_width_m, height_m) = f"{barrier.kind} at y {barrier.y_m:g} m", barrier_extent(barrier.kind)
     for ends in itertools.pairwise(road.at(road.stations(barrier.x_m), barrier.y_m)):
         (x, y), (ahead, aside) = np.mean(ends, axis=0), np.diff(ends, axis=0)[0]
-        size = (math.hypot(ahead, aside), 2 * HALF_WIDTH_M, HEIGHT_M)
+        size = (math.hypot(ahead, aside), 2 * half_width_m, height_m)
         heading = math.degrees(math.atan2(aside, ahead))
-        yield BoxSettings(name=name, centre_m=(x, y, 0.5 * HEIGHT_M), size_m=size, heading_deg=heading)
+        yield BoxSettings(name=name, centre_m=(x, y, 0.5 * height_m), size_m=size, heading_deg=heading)
 
 
 # --- Angles in radians, tilts away from the road, unusual heights and noise -------------------------------------------

@@ -20,13 +20,20 @@ from .triangles import place
 # Cross-sections from the ground up: height and half-width [m].
 # Concrete: the New Jersey profile of FHWA's Roadside Design Guide, 32 in high, 24 in wide at its foot, 6 in at its top.
 # Guard rail: the W-beam of the Midwest Guardrail System, 12.25 in high and 3.25 in deep with its top at 31 in.
-_CONCRETE = ((0.0, 0.305), (0.075, 0.305), (0.330, 0.127), (0.813, 0.076))
-_RAIL = ((0.476, 0.0415), (0.787, 0.0415))
+# Hedge: a clipped one against glare, in a median, through which nothing is seen; round numbers of ours.
+_SECTIONS = {
+    "concrete": ((0.0, 0.305), (0.075, 0.305), (0.330, 0.127), (0.813, 0.076)),
+    "guard_rail": ((0.476, 0.0415), (0.787, 0.0415)),
+    "hedge": ((0.0, 0.5), (1.6, 0.5)),
+}
 _POST_SPACING_M = 1.905  # 6 ft 3 in
 _POST_SIZE_M = (0.10, 0.15, 0.70)  # W6 x 9
 
 
-HALF_WIDTH_M, HEIGHT_M = 0.305, 0.813  # of the widest and the highest
+def barrier_extent(kind: str) -> tuple[float, float]:
+    """Half-width and height of a kind of barrier, of its posts as well [m]."""
+    heights, halves = zip(*_SECTIONS[kind], strict=True)
+    return max(*halves, 0.5 * _POST_SIZE_M[1]), max(heights)
 
 
 def along_road(road: RoadMap, made: Scenery) -> Scenery:
@@ -40,8 +47,8 @@ def barrier(kind: str, y_m: float, x_m: Sequence[float]) -> Scenery:
 
     Parameters
     ----------
-    kind : {"concrete", "guard_rail"}
-        A median barrier of New Jersey's profile, or a W-beam on posts.
+    kind : {"concrete", "guard_rail", "hedge"}
+        A median barrier of New Jersey's profile, a W-beam on posts, or a hedge 1.6 m high and 1 m wide.
     y_m : float
         Its middle line.
     x_m : sequence of float
@@ -50,11 +57,12 @@ def barrier(kind: str, y_m: float, x_m: Sequence[float]) -> Scenery:
     if kind not in BARRIERS:
         raise unknown_name(kind, BARRIERS, "barrier")
     name = f"{kind} at y {y_m:g} m"
-    if kind == "concrete":
-        return structure(name, _extruded(_CONCRETE, y_m, x_m))
+    along = _extruded(_SECTIONS[kind], y_m, x_m)
+    if kind != "guard_rail":
+        return structure(name, along)
     posts = np.arange(x_m[0], x_m[-1], _POST_SPACING_M)
     standing = [box("post", (x, y_m, _POST_SIZE_M[2] / 2), _POST_SIZE_M).corners for x in posts + 0.5 * _POST_SIZE_M[0]]
-    return structure(name, np.concatenate([_extruded(_RAIL, y_m, x_m), *standing]))
+    return structure(name, np.concatenate([along, *standing]))
 
 
 def _extruded(section, y_m, x_m) -> np.ndarray:

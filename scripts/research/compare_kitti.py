@@ -148,15 +148,19 @@ def shapes(folder: Path, about: Mapping, label: str, glass_dropout: float) -> li
             advance(1)
     cars = {one: joined(parts) for one, parts in tables.items()}
     frame = next(iter(cars.values()))["frame"]
-    tuned = np.isin(frame, [name for name in about if about[name].get("split") == TRAINING or name in _TUNED_BESIDE])
-    lines = []
-    for of_set, mine in {"all": np.ones(len(frame), dtype=bool), "tuned": tuned, "validation": ~tuned}.items():
+    fitted, lines = tuned(frame, about), []
+    for of_set, mine in {"all": np.ones(len(frame), dtype=bool), "tuned": fitted, "validation": ~fitted}.items():
         if mine.any():
             lines += [
                 "",
                 *_of_set(of_set, {one: {k: v[mine] for k, v in of.items()} for one, of in cars.items()}, about),
             ]
     return lines[1:]
+
+
+def tuned(frame: np.ndarray, about: Mapping[str, Mapping[str, str]]) -> np.ndarray:
+    """Which cars (n,), by their frames, shapes and losses were fitted to."""
+    return np.isin(frame, [name for name in about if about[name].get("split") == TRAINING or name in _TUNED_BESIDE])
 
 
 def _of_set(name, cars, about):

@@ -8,12 +8,13 @@
     python scripts/research/train_detector.py --traffic jammed.csv.gz free.csv.gz \\
         --crossings crossing_7/crossing_sample.xml.gz --out pillars.npz
 
-Every site of the training has its own slopes, clutter, mountings and errors of installation; the road lies to either
-side of the LiDAR (`pillar_training.shown` flips). With --crossings every third site is at the shipped intersection,
-each scan turned by any angle, with vehicles that turn and people who walk and are none of the boxes; the weights that
-ship were trained without. Stopped and started again it goes on where it was: clouds and checkpoints are kept in --work.
-The same seed gives the same weights on the same machine with the same number of threads; elsewhere sums are added up in
-another order.
+Every site of the training has its own slopes, clutter, reflectivities, mountings and errors of installation; the road
+lies to either side of the LiDAR (`pillar_training.shown` flips). Two sites of five have two carriageways, whose LiDAR
+hangs in the median or beside the road. With --crossings one of five is at the shipped intersection, each scan turned by
+any angle, with vehicles that turn and people who walk and are none of the boxes. Stopped and started again it goes on
+where it was: clouds and checkpoints are kept in --work. The weights that ship are older, and saw single carriageways
+alone (docs/evidence/detection.md). The same seed gives the same weights on the same machine with the same number of
+threads; elsewhere sums are added up in another order.
 """
 
 from __future__ import annotations
@@ -24,9 +25,10 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 try:
@@ -50,11 +52,13 @@ from blender_lidar.scoring.workers import Workers
 from blender_lidar.studies.candidates import at_one_place
 from blender_lidar.traffic.boxes import kind_of
 from blender_lidar.traffic.vehicles import PEDESTRIAN
-from detector_worlds import Options, crossing_world, hard_world
+from blender_lidar.world.meshes import GLASS, PAINT, REFLECTIVITY
+from detector_worlds import LANE_M, TWO_WAY_LANES, Options, crossing_world, hard_world, two_way_world, write_two_way
 from pillar_training import BATCH, WINDOW, Window, batch_of, fresh_weights, rate_at, shown, train_step
 
-MOST_POINTS = {"RS-16": 4096, "RS-32": 8192, "RS-80": 16384}  # above the ground, of a window
+MOST_POINTS = {"RS-16": 4096, "RS-32": 8192, "RS-80": 16384, "RS-Ruby-Lite-V2R": 16384}  # above the ground, of a window
 SENSORS = tuple(MOST_POINTS)
+GATES_M = dict(zip(SENSORS, (50.0, 80.0, 150.0, 150.0), strict=True))
 _DRAWN = {  # by site, or within it by scan: from where to where
     "y_m": (-4.0, 0.0),
     "height_m": (1.8, 5.5),
@@ -65,8 +69,12 @@ _DRAWN = {  # by site, or within it by scan: from where to where
     "cross_fall_percent": (-3.0, 3.0),
     "crown_percent": (0.0, 2.5),
     "variety_seed": "the number of the site",
+    "paint": (0.2, 0.5),  # reflectivities
+    "glass": (0.03, 0.1),
 }
-CROSSINGS = 3  # one of so many sites, where recordings of crossings are given
+_IN_MEDIAN = {"median_m": (2.0, 10.0), "height_m": (1.8, 5.5), "tilt_x_deg": (-3.0, 12.0), "tilt_y_deg": (-3.0, 3.0)}
+ONE_WAY, TWO_WAY, CROSSING = "one carriageway", "two carriageways", "crossing"
+SITES = (ONE_WAY, TWO_WAY, ONE_WAY, TWO_WAY, CROSSING)  # in turn; one carriageway where no crossing is recorded
 _AT_CROSSING = ("height_m", "tilt_x_deg", "tilt_y_deg")  # of `_DRAWN`: its poles stand where they stand
 _BY_SITE = ("clutter", "grade_percent", "cross_fall_percent", "crown_percent")
 MOUNTINGS = 60  # of a site
@@ -103,8 +111,9 @@ def _train(args) -> None:
         "world": _told(hard_world()),
         "drawn": _DRAWN,
     }
+    made_of |= {"sites": SITES, "in_median": _IN_MEDIAN}
     if args.crossings:
-        made_of |= {"crossings": _digests(args.crossings), "world_there": _told(crossing_world()), "one_of": CROSSINGS}
+        made_of |= {"crossings": _digests(args.crossings), "world_there": _told(crossing_world())}
     _check_work(args.work, made_of)
     windows = _windows(args)
     kept = args.work / f"checkpoint_{args.seed}_{args.steps}_{args.sites}_{args.scans}.npz"
@@ -164,20 +173,28 @@ def _windows(args) -> dict[str, list[Window]]:
 
 def _make_site(jobs, paths, traffic: Sequence[str], crossings: Sequence[str], scans: int, at: int) -> None:
     """The windows of one of the jobs, in its file."""
-    made = list(site_windows(*jobs[at], traffic, crossings, scans))
+    table = paths[at].with_suffix(".csv")
+    made = list(site_windows(*jobs[at], traffic, crossings, scans, table))
+    table.unlink(missing_ok=True)
     with whole_file(paths[at]) as temporary:
         np.savez(temporary, **_as_arrays(made))
 
 
 def site_windows(
-    sensor: str, number: int, traffic: Sequence[str], crossings: Sequence[str], scans: int
+    sensor: str, number: int, traffic: Sequence[str], crossings: Sequence[str], scans: int, table: Path
 ) -> Iterator[Window]:
-    """Windows of one site: its slopes and clutter are drawn by its number, each scan's mounting within its bounds."""
+    """Windows of one site: its slopes and clutter are drawn by its number, each scan's mounting within its bounds.
+
+    `table` is where traffic of two carriageways may be written.
+    """
     rng = np.random.default_rng([SENSORS.index(sensor), number])
-    crossed = bool(crossings) and number % CROSSINGS == CROSSINGS - 1
+    kind = SITES[number % len(SITES)]
+    crossed, two_way = bool(crossings) and kind == CROSSING, kind == TWO_WAY
     recordings, drawn = (crossings, _AT_CROSSING) if crossed else (traffic, MOUNTING)
+    paint, glass = rng.uniform(*np.transpose([_DRAWN["paint"], _DRAWN["glass"]]))
     settings = {
         ("sensor", "name"): sensor,
+        ("sensor", "range_gate_m"): GATES_M[sensor],
         ("traffic", "path"): str(Path(recordings[number % len(recordings)]).resolve()),
         ("traffic", "frames"): 60,
         ("traffic", "holdout"): 0.0,
@@ -187,38 +204,59 @@ def site_windows(
     }
     for name in () if crossed else _BY_SITE:
         settings["world" if name == "clutter" else "road", name] = float(rng.uniform(*_DRAWN[name]))
+    if two_way:
+        median_m, pairs = float(rng.uniform(*_IN_MEDIAN["median_m"])), list(product(traffic, repeat=2))
+        write_two_way(table, pairs[int(rng.integers(len(pairs)))], median_m)
+        settings[("traffic", "path")] = str(table.resolve())
+        if number % len(SITES) == SITES.index(TWO_WAY):
+            middle = 2.0 + TWO_WAY_LANES * LANE_M + 0.5 * median_m
+            settings |= {("deployment", name): _IN_MEDIAN[name] for name in drawn if name in _IN_MEDIAN}
+            settings |= {("deployment", "y_m"): (middle - 0.3 * median_m, middle + 0.3 * median_m)}
+            settings |= {("deployment", "facing_deg"): 90.0}
     options = {place: (value, place[1]) for place, value in settings.items()}
+    if two_way:
+        options |= two_way_world(rng, median_m)
     if crossed:
-        site = prepare(_at_crossing(number // CROSSINGS, options))
+        site = prepare(_at_crossing(number // len(SITES), options))
     else:
         site = prepare(load_scenario(SCENES / "i80.toml", {**hard_world(), **options}))
     plan = plan_dataset(site, MOUNTINGS, scans, seed=number + 1)
-    for one in samples(plan):
-        if one.scan.split == TRAIN:
-            yield window_of(one, site.observation.lidar.max_range_m, rng, crossed)
+    gate_m, left_m = site.observation.lidar.max_range_m, site.scenario.road_map.edges_t[1] if two_way else 17.4
+    with _reflectivities(paint, glass):
+        for one in samples(plan):
+            if one.scan.split == TRAIN:
+                yield window_of(one, gate_m, rng, left_m, crossed)
+
+
+@contextmanager
+def _reflectivities(paint: float, glass: float) -> Iterator[None]:
+    """Vehicles of other reflectivities, in this process."""
+    before = REFLECTIVITY.copy()
+    REFLECTIVITY[[PAINT, GLASS]] = paint, glass
+    try:
+        yield
+    finally:
+        REFLECTIVITY[:] = before
 
 
 def _at_crossing(number: int, options: Options) -> Scenario:
     """The scene of one of the poles of the shipped intersection, with the hard world's errors of installation."""
-    name = ("sensor", "name")
-    gate_m = load_scenario(SCENES / "i80.toml", {name: options[name]}).sensor.range_gate_m  # that of the sensor
-    options = {**crossing_world(), **options, ("sensor", "range_gate_m"): (gate_m, "range_gate_m")}
-    scenario = load_scenario(SCENES / "crossing.toml", options)
+    scenario = load_scenario(SCENES / "crossing.toml", {**crossing_world(), **options})
     poles = [place.pole.name for place in scenario.deployment.places]
     scenario = at_one_place(scenario, poles[number % len(poles)])
     tolerance = Tolerance(**hard_world()["objective", "tolerance"][0])
     return replace(scenario, objective=replace(scenario.objective, tolerance=tolerance))
 
 
-def window_of(sample: Sample, gate_m: float, rng: np.random.Generator, crossed: bool = False) -> Window:
-    """A part of a scan as large as `WINDOW`, within the range gate: nearly all across a road, anywhere at a crossing.
+def window_of(sample: Sample, gate_m: float, rng: np.random.Generator, left_m: float, crossed: bool = False) -> Window:
+    """A part of a scan as large as `WINDOW`, within the range gate: across a road, anywhere at a crossing.
 
-    There the scan is turned about the mast by any angle.
+    A road reaches to y = `left_m` or a little farther. At a crossing the scan is turned about the mast by any angle.
     """
     pose = sample.pose
     foot, size = np.array([pose.x_m, pose.y_m, 0.0]), PILLAR_M * np.array(WINDOW)
     low = np.array([-gate_m - 4.0, -13.0 - pose.y_m])
-    high = np.maximum([gate_m + 4.0 - size[0], -8.0 - pose.y_m], low)
+    high = np.maximum([gate_m + 4.0 - size[0], left_m + 13.0 - size[1] - pose.y_m], low)
     turn = 0.0
     if crossed:
         low, high, turn = np.full(2, -gate_m - 4.0), gate_m + 4.0 - size, rng.uniform(-math.pi, math.pi)
@@ -274,6 +312,7 @@ def _ranges(windows: Mapping[str, Sequence[Window]]) -> dict[str, object]:
     some = every[:: max(1, len(every) // 300)]
     grounds = [fit_ground(one.points.astype(float)).residual_m for one in some]
     filled = [density(shown(one, (False, False), sys.maxsize, rng)[0]) for one in some]
+    filled = [points for points in filled if points > 0.0]  # far windows may be empty
     return {
         "sensors": list(windows),
         "height_m": [min(one.lidar_m for one in every), max(one.lidar_m for one in every)],
