@@ -1,6 +1,6 @@
 """Detectors on recorded roadside clouds: recall by range and false alarms, beside boxes fitted to the points.
 
-    python scripts/research/detect_roadside.py --roadside DIR --detectors old.npz new.npz
+    python scripts/research/roadside_weights.py --roadside DIR --detectors old.npz new.npz
 
 DIR is as for `roadside_clouds.py`. Vehicles of confidence A to C count that are within 100 m and outside the blind
 sector; what meets another fitted box is neither a hit nor a false alarm. A hit is a centre within 2 m. Detectors look
@@ -45,7 +45,7 @@ class Frame(NamedTuple):
 
 
 def main(argv: list[str] | None = None) -> int:
-    return run_script("detect_roadside", lambda: _study(argv))
+    return run_script("roadside_weights", lambda: _study(argv))
 
 
 def _study(argv):
