@@ -15,7 +15,16 @@ import numpy as np
 
 from ..errors import InputError
 from ..sensors.pose import Pose, tilts_of
-from .road_surface import FEWEST_POINTS, RING_SD_RAD, SECTORS, Ground, RingCheck, RoadFrame, SurfaceFit, fit_surface
+from .road_surface import (
+    FEWEST_POINTS,
+    RING_SD_RAD,
+    JACKKNIFE_SECTORS,
+    RoadPoints,
+    RingCheck,
+    RoadFrame,
+    SurfaceFit,
+    fit_surface,
+)
 
 _REACH_M, _NEAREST_M = 45.0, 1.0  # of ground that is fitted
 _STEEPEST = math.cos(math.radians(50.0))  # between the sensor's upright axis and the road's
@@ -349,7 +358,7 @@ def _driven(seen: _Seen, turn: float) -> tuple[float, float] | None:
     return float(near[0] - 2.0), float(near[-1] + 2.0)
 
 
-def _near_ground(points, ring, flat, normal, height, turn) -> tuple[Ground, np.ndarray]:
+def _near_ground(points, ring, flat, normal, height, turn) -> tuple[RoadPoints, np.ndarray]:
     """The points that may be ground, and their rows."""
     reach = np.hypot(flat[:, 0], flat[:, 1])
     rows = np.flatnonzero((reach < _REACH_M) & (np.abs(flat[:, 2]) < 1.0))
@@ -358,12 +367,13 @@ def _near_ground(points, ring, flat, normal, height, turn) -> tuple[Ground, np.n
     level = np.maximum(np.hypot(p[:, 0], p[:, 1]), 1e-9)
     rise = np.column_stack([-p[:, 0] * p[:, 2] / level, -p[:, 1] * p[:, 2] / level, level])  # times the range
     cos, sin = math.cos(turn), math.sin(turn)
-    ground = Ground(
+    ground = RoadPoints(
         s=cos * q[:, 0] + sin * q[:, 1],
         t=cos * q[:, 1] - sin * q[:, 0],
         z=q[:, 2],
         ring=ring[rows],
-        sector=((np.arctan2(q[:, 1], q[:, 0]) + math.pi) / (2.0 * math.pi) * SECTORS).astype(int) % SECTORS,
+        sector=((np.arctan2(q[:, 1], q[:, 0]) + math.pi) / (2.0 * math.pi) * JACKKNIFE_SECTORS).astype(int)
+        % JACKKNIFE_SECTORS,
         by_ring=rise @ normal,
         by_range=p @ normal / away,
         noise=np.hypot(_NOISE_M, _NOISE_BY_RANGE * rho),

@@ -18,7 +18,7 @@ import numpy as np
 from ..errors import InputError
 
 FEWEST_POINTS = 500
-SECTORS = 12
+JACKKNIFE_SECTORS = 12
 RING_SD_RAD = math.radians(0.02)
 """Standard deviation of the errors of rings beforehand: what is not smaller afterwards was not learnt."""
 _RANGE_SD_M, _BEND_SD = 0.01, 1e-4  # the same of the error of all ranges, and of half the curvature along the road
@@ -33,7 +33,7 @@ _RING_GROUPS = 8
 _ROUNDS = 8  # of weighted least squares
 
 
-class Ground(NamedTuple):
+class RoadPoints(NamedTuple):
     """Points near the road, (n,) each: along, across and above the first plane [m], ring, sector, levers and noise [m].
 
     `by_ring` is how far a point rises by a radian of its ring's elevation, `by_range` by a metre of range.
@@ -48,9 +48,9 @@ class Ground(NamedTuple):
     by_range: np.ndarray
     noise: np.ndarray
 
-    def pick(self, rows: np.ndarray) -> Ground:
+    def pick(self, rows: np.ndarray) -> RoadPoints:
         """Some of the points."""
-        return Ground(*(column[rows] for column in self))
+        return RoadPoints(*(column[rows] for column in self))
 
 
 class RoadFrame(NamedTuple):
@@ -117,7 +117,9 @@ class SurfaceFit:
     ring_check: RingCheck | None
 
 
-def fit_surface(ground: Ground, rings: int, driven: tuple[float, float] | None, *, errors: bool = True) -> SurfaceFit:
+def fit_surface(
+    ground: RoadPoints, rings: int, driven: tuple[float, float] | None, *, errors: bool = True
+) -> SurfaceFit:
     """The road's surface among points near it, of a sensor with so many rings.
 
     `driven` is from where to where across the road vehicles are seen [m], None without any; `errors` and the check of
@@ -181,7 +183,7 @@ class _Solved(NamedTuple):
 
 
 def _surface(
-    ground: Ground,
+    ground: RoadPoints,
     breaks: Sequence[float],
     rings: int,
     residual: np.ndarray,
@@ -209,7 +211,7 @@ def _surface(
     return _Solved(x, np.linalg.inv(normal), ring_error, 1.0 / np.sqrt(of_rings), residual, weight)
 
 
-def _profile(ground: Ground, span: tuple[float, float]) -> tuple[np.ndarray, ...]:
+def _profile(ground: RoadPoints, span: tuple[float, float]) -> tuple[np.ndarray, ...]:
     """The road's section: of strips across the road y [m], level [m] and weight, (k,) each.
 
     The level is where most points lie within a few centimetres, the weight the square of their share: it is small where
@@ -275,7 +277,7 @@ _RAISED_M, _CELL_ALONG_M, _BARRIER_CELLS = 0.2, 2.0, 12  # of a barrier: what st
 
 
 def _strips(
-    ground: Ground,
+    ground: RoadPoints,
     residual: np.ndarray,
     span: tuple[float, float],
     driven: tuple[float, float],
@@ -379,10 +381,10 @@ def _planes(breaks: Sequence[float], strips: Sequence[tuple[float, float]]) -> l
     return [one for one in cut if one[1] - one[0] >= _NARROWEST_M] or cut
 
 
-def _jackknife(ground: Ground, breaks, strips, rings: int, residual: np.ndarray) -> RoadFrame:
+def _jackknife(ground: RoadPoints, breaks, strips, rings: int, residual: np.ndarray) -> RoadFrame:
     """Standard errors of the road's frame, over sectors and over groups of rings."""
     total = np.zeros(3)
-    for group, number in ((ground.sector, SECTORS), (ground.ring % _RING_GROUPS, _RING_GROUPS)):
+    for group, number in ((ground.sector, JACKKNIFE_SECTORS), (ground.ring % _RING_GROUPS, _RING_GROUPS)):
         parts = [
             _frame(_surface(ground.pick(group != one), breaks, rings, residual[group != one]), breaks, strips)[0]
             for one in range(number)
@@ -397,7 +399,7 @@ _FEWEST_OF_RING, _FEWEST_RINGS = 20, 8
 
 
 def _ring_check(
-    ground: Ground, breaks: Sequence[float], strips: Sequence[tuple[float, float]], rings: int, residual: np.ndarray
+    ground: RoadPoints, breaks: Sequence[float], strips: Sequence[tuple[float, float]], rings: int, residual: np.ndarray
 ) -> RingCheck:
     """Errors of rings from one half of the road, judged on the other: carriageways, or what is ahead and behind."""
     on_both_sides = strips[0][1] <= 0.0 <= strips[-1][0]

@@ -41,13 +41,14 @@ import numpy as np
 
 from arguments import counting, parser_of, run_script
 from blender_lidar.casting import resolve
+from blender_lidar.clouds.rings import Rings, table_rings
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, detection_range_m
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.statistics import interval_90, resampled_weights
 from blender_lidar.studies.compare import PairedFrame, Setup
-from blender_lidar.studies.recorded import NO_POINT, Firings, Rings, table_rings
+from blender_lidar.studies.recorded import NO_POINT, Firings
 from compare_kitti import clusters, joined, rows_of, tuned
 from kitti_sweeps import KITTI_MARGIN_M, kitti_frame, kitti_names, recover_rings
 from roadside_clouds import FIRST_HALF, SECTOR_RAD, roadside_frames
