@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tests.research  # noqa: F401
+from blender_lidar.clouds.rings import table_rings
 from blender_lidar.metrics.assignment import NO_BOX, points_in_boxes
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
-from blender_lidar.studies.recorded import table_rings
 from compare_roadside import CLEARANCE_M, _medians, difference
 from roadside_clouds import roadside_frames
 

@@ -17,11 +17,11 @@ from ..errors import InputError
 from ..sensors.pose import Pose, tilts_of
 from .road_surface import (
     FEWEST_POINTS,
-    RING_SD_RAD,
     JACKKNIFE_SECTORS,
-    RoadPoints,
+    RING_SD_RAD,
     RingCheck,
     RoadFrame,
+    RoadPoints,
     SurfaceFit,
     fit_surface,
 )
