@@ -302,7 +302,7 @@ def _background(
     index = np.full((len(clouds), model.rings * columns), -1)
     start = np.cumsum([0, *map(len, clouds)])
     for row, (points, ring) in enumerate(zip(clouds, rings, strict=True)):
-        column = (np.arctan2(points[:, 0], points[:, 1]) / (2.0 * math.pi) * columns).astype(int) % columns
+        column = np.floor(np.arctan2(points[:, 0], points[:, 1]) / (2.0 * math.pi) * columns).astype(int) % columns
         index[row, ring * columns + column] = np.arange(start[row], start[row + 1])
     often = np.flatnonzero((index >= 0).sum(axis=0) > 0.5 * len(clouds))
     index = index[:, often]
