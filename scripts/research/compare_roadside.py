@@ -41,13 +41,14 @@ import numpy as np
 
 from arguments import counting, parser_of, run_script
 from blender_lidar.casting import resolve
+from blender_lidar.clouds.rings import Rings, table_rings
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT, detection_range_m
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.statistics import interval_90, resampled_weights
 from blender_lidar.studies.compare import PairedFrame, Setup
-from blender_lidar.studies.recorded import NO_POINT, Firings, Rings, table_rings
+from blender_lidar.studies.recorded import NO_POINT, Firings
 from compare_kitti import clusters, joined, rows_of, tuned
 from kitti_sweeps import KITTI_MARGIN_M, kitti_frame, kitti_names, recover_rings
 from roadside_clouds import FIRST_HALF, SECTOR_RAD, roadside_frames
@@ -98,14 +99,17 @@ def _study(argv):
 # --- The clouds -------------------------------------------------------------------------------------------------------
 
 
-def roadside_cases(folder: Path) -> Iterator[Case]:
+def roadside_cases(
+    folder: Path, classes: Sequence[str] = ("car", "van"), below_m: float = BANDS_M[-1][1]
+) -> Iterator[Case]:
+    """Each carriageway's vehicles of some classes, of confidence A to C and nearer than `below_m`."""
     lattice = beam_lattice(load_model("RS-Ruby-Lite-V2R"))
     found = list(roadside_frames(folder))
     with counting(len(found), "carriageways") as advance:
         for number, (frame, pose, known) in enumerate(found):
             setup = Setup(("body", "detailed"), resolve("auto", "caster"), pose, clearance_m=CLEARANCE_M)
             away = np.hypot(*frame.boxes.centre_m[:, :2].T)
-            rows = np.flatnonzero((known != "D") & frame.boxes.of_class(("car", "van")) & (away < BANDS_M[-1][1]))
+            rows = np.flatnonzero((known != "D") & frame.boxes.of_class(classes) & (away < below_m))
             if len(rows):
                 paired = PairedFrame(frame, rows, table_rings(pose.to_sensor(frame.points), lattice)[0], setup, number)
                 x, y, _ = (paired.rays.direction @ pose.rotation.T).T
