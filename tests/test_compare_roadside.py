@@ -15,6 +15,7 @@ from blender_lidar.metrics.assignment import NO_BOX, points_in_boxes
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from compare_roadside import CLEARANCE_M, _medians, difference
+from draw_roadside import main as draw
 from roadside_clouds import roadside_frames
 
 ROADSIDE = Path(__file__).parents[1].parent / "shared" / "data" / "chengdu"
@@ -62,3 +63,19 @@ def test_an_error_less_itself_is_nothing_and_less_a_larger_one_below_nothing():
     assert difference(of, of, frame) == (0.0, 0.0, 0.0)
     gap, low, high = difference(of, {**of, "error": 2.0 * of["error"]}, frame)
     assert low <= gap <= high < 0.0
+
+
+@needs_roadside
+def test_real_clouds_are_drawn_and_asphalt_returns_nearby_and_not_far_off(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    assert draw(["--roadside", str(ROADSIDE), "--draw", str(tmp_path / "drawn")]) == 0
+    assert {path.name for path in (tmp_path / "drawn").iterdir()} == {"roadside.png", "points.png"}
+    rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()]
+    share = {row[0]: float(row[2]) for row in rows if len(row) == 4 and row[0][0].isdigit()}
+    assert share["20-25"] > 99.0 > 75.0 > share["55-60"] > 25.0 > 10.0 > share["70-75"]
+
+
+def test_a_folder_without_clouds_is_one_line(tmp_path, capsys):
+    assert draw(["--roadside", str(tmp_path), "--draw", str(tmp_path / "drawn")]) != 0
+    assert "vehicles_fitted.csv: there is no such file" in capsys.readouterr().err
+    assert not (tmp_path / "drawn").exists()

@@ -99,14 +99,17 @@ def _study(argv):
 # --- The clouds -------------------------------------------------------------------------------------------------------
 
 
-def roadside_cases(folder: Path) -> Iterator[Case]:
+def roadside_cases(
+    folder: Path, classes: Sequence[str] = ("car", "van"), below_m: float = BANDS_M[-1][1]
+) -> Iterator[Case]:
+    """Each carriageway's vehicles of some classes, of confidence A to C and nearer than `below_m`."""
     lattice = beam_lattice(load_model("RS-Ruby-Lite-V2R"))
     found = list(roadside_frames(folder))
     with counting(len(found), "carriageways") as advance:
         for number, (frame, pose, known) in enumerate(found):
             setup = Setup(("body", "detailed"), resolve("auto", "caster"), pose, clearance_m=CLEARANCE_M)
             away = np.hypot(*frame.boxes.centre_m[:, :2].T)
-            rows = np.flatnonzero((known != "D") & frame.boxes.of_class(("car", "van")) & (away < BANDS_M[-1][1]))
+            rows = np.flatnonzero((known != "D") & frame.boxes.of_class(classes) & (away < below_m))
             if len(rows):
                 paired = PairedFrame(frame, rows, table_rings(pose.to_sensor(frame.points), lattice)[0], setup, number)
                 x, y, _ = (paired.rays.direction @ pose.rotation.T).T

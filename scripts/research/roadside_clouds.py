@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from blender_lidar.errors import MissingFileError
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.studies.recorded import LabelledBoxes, RecordedFrame
 from blender_lidar.traffic.vehicles import CLASSES, FLEET_KINDS, fleet_kind
@@ -30,6 +31,9 @@ def roadside_frames(folder: Path) -> Iterator[tuple[RecordedFrame, Pose, np.ndar
     The lens turns at `LENS_M` from the axis, towards the column. Points and boxes are moved back by so much, level and
     towards the axis, so that rays start on it.
     """
+    for name in ("vehicles_fitted.csv", "revolution.npz", "frames_float16.npz"):
+        if not (folder / name).is_file():
+            raise MissingFileError(f"--roadside: {folder / name}: there is no such file")
     with (folder / "vehicles_fitted.csv").open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     halves = np.load(folder / "frames_float16.npz")
