@@ -146,28 +146,36 @@ class StoredClouds:
 class RecordedClouds:
     """The clouds of a recording, by their paths, of which points within a rectangle from `low` to `high` are looked at.
 
+    Vehicles are looked for between the pairs of y of `spans` [m, road frame].
     With a `lattice` and the `phase` of its columns, as of `clouds.rings.beam_phase`, each point has its beam.
     """
 
     hung: Hung
     low: np.ndarray
     high: np.ndarray
+    spans: Sequence[tuple[float, float]]
     lattice: BeamLattice | None = None
     phase: np.ndarray | None = None
 
     @classmethod
     def of(cls, paths: Sequence[Path], hung: Hung, region: Sequence[float] | None, *, beams: bool) -> RecordedClouds:
-        """Those of a `region`, two corners; by default 100 m all round, across only 2 m beside known carriageways."""
+        """Those of a `region`, two corners; by default 100 m all round, and vehicles only on carriageways if known.
+
+        What stands in a median, such as a hedge, is then no vehicle.
+        """
         at = hung.pose.position[:2]
         low, high = at - _RECORDED_REACH_M, at + _RECORDED_REACH_M
         if hung.carriageways:
             low[1], high[1] = np.min(hung.carriageways) - _BESIDE_M, np.max(hung.carriageways) + _BESIDE_M
         if region is not None:
             low, high = np.array(region[:2]), np.array(region[2:])
+        spans = hung.carriageways if hung.carriageways and region is None else [(float(low[1]), float(high[1]))]
         if not beams:
-            return cls(hung, low, high)
+            return cls(hung, low, high, spans)
         lattice, some = beam_lattice(load_model(hung.sensor)), paths[:: len(paths) // _OF_PHASE + 1]
-        return cls(hung, low, high, lattice, beam_phase((sensor_points(path, hung.axes) for path in some), lattice))
+        return cls(
+            hung, low, high, spans, lattice, beam_phase((sensor_points(path, hung.axes) for path in some), lattice)
+        )
 
     def read(self, path: Path) -> tuple[PointCloud, int]:
         """A cloud, of which the points and perhaps the beams are known, and the number at the end of its name."""
@@ -193,7 +201,7 @@ def sensor_points(path: Path, axes: str) -> np.ndarray:
 class FoundInClouds(NamedTuple):
     """What a detector found in clouds: boxes by frame, and the LiDAR's pose in the road frame.
 
-    It looked within the rectangle from `low` to `high`, x and y [m].
+    It looked within the rectangle from `low` to `high`, x and y [m], between the pairs of y of `spans`.
     """
 
     boxes: Mapping[int, DetectedBoxes]
@@ -201,7 +209,14 @@ class FoundInClouds(NamedTuple):
     sensor: str
     low: np.ndarray
     high: np.ndarray
+    spans: Sequence[tuple[float, float]]
     notes: Sequence[str]
+
+    @property
+    def region(self) -> Region:
+        """Where it looked."""
+        (x0, _), (x1, _) = self.low, self.high
+        return region_within([np.array([(x0, a), (x1, a), (x1, b), (x0, b)]) for a, b in self.spans])
 
 
 def _look(
@@ -249,11 +264,12 @@ def detect_in_clouds(
         clouds = StoredClouds.of(paths[0])
         pose, sensor, losses = clouds.pose, clouds.lattice.model.name, clouds.sensor.imperfections
         low, high = (pose.position[:2] + side * clouds.sensor.range_gate_m for side in (-1.0, 1.0))
+        spans = [(float(low[1]), float(high[1]))]
     else:
         clouds = RecordedClouds.of(paths, hung, region, beams=learns)
         sensor = "a sensor without a name" if hung.sensor is None else load_model(hung.sensor).name
         pose, losses = hung.pose, AS_RECORDED
-        low, high = clouds.low, clouds.high
+        low, high, spans = clouds.low, clouds.high, clouds.spans
     advance, images = progress((1 + learns) * len(paths)), None
     if learns:
         detector = ClassicalDetector(clouds.lattice, tuple(pose.position[:2]), losses)
@@ -268,9 +284,10 @@ def detect_in_clouds(
     if len(set(frames)) < len(frames):
         twice = next(frame for row, frame in enumerate(frames) if frame in frames[:row])
         raise InputError(f"{folder}: frame {twice} has several clouds; allowed: one of each frame")
-    boxes = boxes if hung is None else [within(one, low, high) for one in boxes]
-    found = dict(zip(frames, boxes, strict=True))
-    return FoundInClouds(found, pose, sensor, low, high, detector.notes(seen))
+    found = FoundInClouds({}, pose, sensor, low, high, spans, detector.notes(seen))
+    if hung is not None:
+        boxes = [one.select(found.region.holds(one)) for one in boxes]
+    return found._replace(boxes=dict(zip(frames, boxes, strict=True)))
 
 
 def judge_in_clouds(
@@ -292,8 +309,7 @@ def judge_in_clouds(
         raise InputError(f"--boxes: {where}: has the frames {ends}; allowed: boxes of frames of the clouds")
     boxes, vehicles = [found.boxes[number] for number in numbers], [labels.vehicles(number) for number in numbers]
     warnings = accepted(detections_misfit(boxes, vehicles), where, accept)
-    (x0, y0), (x1, y1) = found.low, found.high
-    region = region_within([np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])])
+    region = found.region
     frames, xy = [CountedFrame(one, region.holds(one)) for one in vehicles], tuple(found.pose.position[:2])
     judged, notes = judged_boxes(boxes, frames, region, xy, None), [*found.notes, _UNLABELLED, _BY_FRAME]
     if left := len(found.boxes) - len(numbers):
@@ -301,7 +317,11 @@ def judge_in_clouds(
     ends = intervals(judged.matches, np.arange(len(numbers)), seed=1)
     return {
         "sensor": found.sensor,
-        "region": {"low_m": found.low.tolist(), "high_m": found.high.tolist()},
+        "region": {
+            "low_m": found.low.tolist(),
+            "high_m": found.high.tolist(),
+            "between_y_m": list(map(list, found.spans)),
+        },
         "criteria": [criterion.name for criterion in CRITERIA],
         "frames": len(numbers),
         "frame_ids": numbers,
