@@ -403,3 +403,20 @@ def test_clouds_that_have_no_frame_are_refused(table, clouds, frames, message):
     paths = [str(table.with_name(f"{name}.npz")) for name in clouds]
     with pytest.raises(InputError, match=re.escape(message)):
         list(labelled_frames(paths, str(table), frames))
+
+
+def test_rays_of_a_blind_sector_count_on_neither_side():
+    """Half of a car lies where the sensor is switched off."""
+    vehicles = street()
+    cloud = scanned(vehicles)
+    azimuth = np.degrees(np.arctan2(*cloud.xyz[:, :2].T)) % 360.0
+    middle = np.degrees(np.arctan2(*vehicles.centre_m[3, :2])) % 360.0
+    cut = replace(cloud, xyz=cloud.xyz[(azimuth - middle) % 360.0 > 40.0])
+    lost, aside = (
+        compared([frame_of(vehicles, cut, which=[3])], replace(PLAIN, blind_deg=sectors))
+        for sectors in ((), [(middle, middle + 40.0)])
+    )
+    assert lost["real_points"] == aside["real_points"]
+    assert lost["simulated_points"] > 1.3 * lost["real_points"]
+    assert aside["simulated_points"] == pytest.approx(aside["real_points"], rel=0.05)
+    assert aside["hidden_share"] > 0.3

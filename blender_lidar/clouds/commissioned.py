@@ -20,19 +20,22 @@ COMMISSION = "commission.json"
 _TEXTS = dict.fromkeys(("sensor", "axes"), Setting(kind=str))
 _POSE = {**dict.fromkeys(("x_m", "y_m"), Setting(low=-1e6, high=1e6)), "height_m": Setting(above=0.0, high=1e3)}
 _POSE |= dict.fromkeys(("tilt_x_deg", "tilt_y_deg", "yaw_deg"), Setting(low=-360.0, high=360.0))
+_SECTORS = Setting(kind=tuple[tuple[float, float], ...], low=0.0, high=360.0, default=())
 _SPAN = Setting(kind=tuple[float, float], fits=lambda y: y[0] < y[1], form="the lower first, below the upper")
 
 
 class Hung(NamedTuple):
     """A sensor whose clouds are in its own frame: axes and pose `at` bring them to the road's, as for `in_frame`.
 
-    `sensor` is its model's name; `carriageways` are from which y to which [m, road frame].
+    `sensor` is its model's name; `carriageways` are from which y to which [m, road frame], `blind_deg` sectors of
+    azimuth in which nothing returns, clockwise from straight ahead.
     """
 
     axes: str
     at: Sequence[float]
     sensor: str | None = None
     carriageways: Sequence[tuple[float, float]] = ()
+    blind_deg: Sequence[tuple[float, float]] = ()
 
     @property
     def pose(self) -> Pose:
@@ -66,7 +69,8 @@ def read_commission(path: str | Path, beside: Sequence[str] = ()) -> Hung:
         raise InputError(f"{path}: carriageways: is {printable(str(rows))}; allowed: a list of tables with y_m")
     each = [TomlTable(row, f"{path}: carriageways {at}") for at, row in enumerate(rows, 1)]
     spans = [_read(one, {"y_m": _SPAN})["y_m"] for one in each]
-    hung = Hung(texts["axes"], tuple(pose.values()), texts["sensor"], spans)
+    blind = _read(table, {"blind_sectors_deg": _SECTORS})["blind_sectors_deg"]
+    hung = Hung(texts["axes"], tuple(pose.values()), texts["sensor"], spans, blind)
     try:
         load_model(hung.sensor)
         hung.placed(np.zeros((1, 3)))

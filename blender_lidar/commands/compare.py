@@ -115,6 +115,7 @@ def setup_of(asked: CompareOptions, hung: Hung | None = None) -> Setup:
         details=tuple(name for name in DETAILS if name in chosen),  # from the cheapest on
         caster=resolve(asked.caster, "--caster"),
         pose=Pose(asked.x_m, asked.y_m, asked.height_m, *angles) if hung is None else hung.pose,
+        blind_deg=() if hung is None else hung.blind_deg,
         losses={text: losses_of(text) for text in asked.losses or (NO_LOSSES,)},
         margin_m=asked.label_margin_m or (0.0, 0.0, 0.0),
         clearance_m=asked.clearance_m,

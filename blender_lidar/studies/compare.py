@@ -64,6 +64,8 @@ class Setup:
         Labels of what is compared; None: all that has a shape. All else that is labelled only hides.
     between_m : tuple of float
         Nearest and farthest horizontal distance of box centres from the sensor [m], the latter excluded.
+    blind_deg : sequence of (float, float)
+        Sectors of azimuth in which the sensor returns nothing, clockwise from its +y: rays there say nothing.
     """
 
     details: tuple[str, ...]
@@ -74,6 +76,7 @@ class Setup:
     clearance_m: float = CLEARANCE_M
     classes: tuple[str, ...] | None = None
     between_m: tuple[float, float] = (0.0, np.inf)
+    blind_deg: Sequence[tuple[float, float]] = ()
 
 
 def scene_triangles(boxes: LabelledBoxes, detail: str, margin_m: Sequence[float]) -> Triangles:
@@ -122,7 +125,7 @@ class PairedFrame:
     real : ndarray of bool, (k,)
         Whether the real return came from the box.
     hidden : ndarray of bool, (k,)
-        Whether it came from something well before the box: the ray says nothing of the vehicle.
+        Whether it came from something well before the box, or lies in a blind sector: it says nothing of the vehicle.
     """
 
     def __init__(self, frame: RecordedFrame, rows: np.ndarray, rings: Rings, setup: Setup, number: int) -> None:
@@ -140,7 +143,11 @@ class PairedFrame:
         rays, entry = firings.towards(centre + lift, size + growth, heading)
         real = rays.point != NO_POINT
         real[real] = on_vehicle(to_vehicle_frame(points[rays.point[real]], centre, heading), size, clearance_m)
-        return *rays, np.full(len(real), row), real, ~real & (rays.range_m < entry - SHORT_M)
+        x, y, _ = (rays.direction @ self._setup.pose.rotation.T).T
+        azimuth, blind = np.degrees(np.arctan2(x, y)), np.zeros(len(real), dtype=bool)
+        for first, last in self._setup.blind_deg:
+            blind |= (azimuth - first) % 360.0 <= (last - first) % 360.0
+        return *rays, np.full(len(real), row), real, ~real & (blind | (rays.range_m < entry - SHORT_M))
 
     def simulate(self, detail: str) -> tuple[np.ndarray, ...]:
         """Cast the rays against the labelled scene at a level of detail.
