@@ -25,7 +25,7 @@ _ENOUGH = 30  # points of a ring, beside which a ring without any cannot lie
 _BESIDE_RAD = math.radians(0.35)
 # Where the table itself does not fit: standard deviation of a unit's elevations, and how far a ring may be off, also as
 # a share of the way to the next. Makers' calibrations of units differ from their tables by up to 0.45 degrees.
-_LEAST_SEEN_OF_UNIT = 0.9
+_LEAST_SEEN_OF_UNIT = 0.88
 _UNIT_RAD, _SHIFT_RAD, _SHIFT = math.radians(0.05), math.radians(0.12), 0.35
 _LENSES_M, _LENS_SHOWS = np.arange(-0.02, 0.0621, 0.002), 0.5  # the misfit falls to half: else units' rings may err
 _MOST_OFFSET_RAD = math.radians(1.0)  # of the columns of an organised cloud from a table's azimuth offsets
