@@ -394,7 +394,11 @@ def test_each_cloud_has_the_boxes_of_its_frame(table):
 @pytest.mark.parametrize(
     ("clouds", "frames", "message"),
     [
-        ("a", None, "holds 2 frames, 1 to 2, for 1 clouds; give --frame with a number for each cloud"),
+        (
+            "a",
+            None,
+            "holds 2 frames, 1 to 2, for 1 clouds, whose names end with others or none; give --frame",
+        ),
         ("ab", (1,), "--frame: 1 numbers; allowed: one for each of the 2 clouds"),
         ("a", (3,), "no frame 3; the recording has 2 frames from 1 to 2"),
     ],

@@ -18,7 +18,7 @@ from blender_lidar.detection.classical import ClassicalDetector
 from blender_lidar.detection.files import kitti_labels
 from blender_lidar.detection.fitted_boxes import fit_boxes
 from blender_lidar.detection.labels import read_labels
-from blender_lidar.detection.stored import RecordedClouds
+from blender_lidar.detection.stored import AS_RECORDED, RecordedClouds
 from blender_lidar.errors import InputError
 from blender_lidar.files import write_columns
 from blender_lidar.sensors.beams import beam_lattice
@@ -466,9 +466,52 @@ def test_boxes_fitted_to_a_real_motorway_are_those_fitted_before(motorway):
 @needs_chengdu
 def test_the_script_of_the_roadside_tables_finds_what_the_verb_finds(capsys):
     needs_scikit_learn()
-    assert tables(["--chengdu", str(CHENGDU)]) == 0
+    assert tables(["--roadside", str(CHENGDU)]) == 0
     rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
     whole = {row[0]: row for row in rows if row[1] == "0 to 100"}
     assert set(whole) == {"pillars", "pillars, levelled", "classical"}
     assert min(int(row[3].split()[0]) for row in whole.values()) > 90
     assert {row[0] for row in rows} >= {"A", "B", "C"}
+
+
+def test_what_commission_writes_of_a_full_turn_from_another_origin_is_read_by_detect_and_compare(tmp_path, capsys):
+    """No blind sector, and clouds whose frame is shifted: the boxes are found where commission fitted them."""
+    pytest.importorskip("sklearn", reason="scikit-learn is not installed")
+    from tests.test_commission import hung
+
+    folder = tmp_path / "clouds"
+    folder.mkdir()
+    for frame in range(6):
+        points, _ = hung("OS1-64", frame, traffic__frames=6)
+        np.savez(folder / f"turn_{frame:06d}.npz", xyz=np.add(points, [10.0, 20.0, 6.0]))
+    clouds = sorted(folder.iterdir())
+    found = tmp_path / "found"
+    assert cli(capsys, "commission", *clouds, "--origin", 10, 20, 6, "--out", found)[0] == 0
+    words = "--commission", found, "--boxes", found / "boxes.csv"
+    assert cli(capsys, "detect", folder, *words, "--detector", "classical", "--out", tmp_path / "detected")[0] == 0
+    result = json.loads((tmp_path / "detected" / "detection.json").read_text())
+    assert result["mountings"]["given"]["recall_0.1"] > 0.8
+    points = [word for cloud in clouds for word in ("--points", cloud)]  # their names tell the frames
+    assert cli(capsys, "compare", *points, *words, "--out", tmp_path / "compared")[0] == 0
+    compared = json.loads((tmp_path / "compared" / "compare.json").read_text())
+    assert compared["variants"][0]["points"]["real"] > 1000
+    assert compared["left_out"]["of a guessed size"] > 0
+
+
+def test_headings_turn_only_beyond_a_median():
+    """One carriageway is two planes where it has a crown."""
+    pytest.importorskip("sklearn", reason="scikit-learn is not installed")
+    from blender_lidar.clouds.rings import beam_phase, on_beams
+    from tests.test_commission import hung
+
+    lattice, clouds = beam_lattice(load_model("OS1-64")), []
+    for frame in range(4):
+        points, mounting = hung("OS1-64", frame)
+        xyz = mounting.pose.to_world(points) + mounting.pose.position
+        clouds.append(on_beams(points, xyz, lattice, beam_phase([points], lattice), "here"))
+    detector = ClassicalDetector(lattice, (0.0, 0.0), AS_RECORDED)
+    one, apart = (
+        fit_boxes(clouds, detector, spans) for spans in ([(2.0, 13.0), (13.0, 24.0)], [(2.0, 12.0), (14.0, 24.0)])
+    )
+    assert np.abs(one["heading_deg"]).max() < 10.0
+    assert (np.abs(apart["heading_deg"]) > 90.0).any()

@@ -20,7 +20,10 @@ COMMISSION = "commission.json"
 _TEXTS = dict.fromkeys(("sensor", "axes"), Setting(kind=str))
 _POSE = {**dict.fromkeys(("x_m", "y_m"), Setting(low=-1e6, high=1e6)), "height_m": Setting(above=0.0, high=1e3)}
 _POSE |= dict.fromkeys(("tilt_x_deg", "tilt_y_deg", "yaw_deg"), Setting(low=-360.0, high=360.0))
-_SECTORS = Setting(kind=tuple[tuple[float, float], ...], low=0.0, high=360.0, default=())
+_MORE = {
+    "blind_sectors_deg": Setting(kind=tuple[tuple[float, float], ...], low=0.0, high=360.0),
+    "origin_m": Setting(kind=tuple[float, float, float], low=-1e9, high=1e9),
+}
 _SPAN = Setting(kind=tuple[float, float], fits=lambda y: y[0] < y[1], form="the lower first, below the upper")
 
 
@@ -28,7 +31,7 @@ class Hung(NamedTuple):
     """A sensor whose clouds are in its own frame: axes and pose `at` bring them to the road's, as for `in_frame`.
 
     `sensor` is its model's name; `carriageways` are from which y to which [m, road frame], `blind_deg` sectors of
-    azimuth in which nothing returns, clockwise from straight ahead.
+    azimuth in which nothing returns, clockwise from straight ahead. `origin_m` is its place in the clouds.
     """
 
     axes: str
@@ -36,6 +39,7 @@ class Hung(NamedTuple):
     sensor: str | None = None
     carriageways: Sequence[tuple[float, float]] = ()
     blind_deg: Sequence[tuple[float, float]] = ()
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def pose(self) -> Pose:
@@ -44,7 +48,11 @@ class Hung(NamedTuple):
 
     def placed(self, points: np.ndarray) -> np.ndarray:
         """Points (n, 3) of its own frame in the road's [m]."""
-        return in_frame(points, self.axes, self.at)
+        return in_frame(points - self.origin_m, self.axes, self.at)
+
+    def seen(self, points: np.ndarray) -> np.ndarray:
+        """Points (n, 3) of its own frame from the sensor, x to the right and y ahead [m]."""
+        return in_frame(points - self.origin_m, self.axes, None)
 
 
 def read_commission(path: str | Path, beside: Sequence[str] = ()) -> Hung:
@@ -69,8 +77,10 @@ def read_commission(path: str | Path, beside: Sequence[str] = ()) -> Hung:
         raise InputError(f"{path}: carriageways: is {printable(str(rows))}; allowed: a list of tables with y_m")
     each = [TomlTable(row, f"{path}: carriageways {at}") for at, row in enumerate(rows, 1)]
     spans = [_read(one, {"y_m": _SPAN})["y_m"] for one in each]
-    blind = _read(table, {"blind_sectors_deg": _SECTORS})["blind_sectors_deg"]
-    hung = Hung(texts["axes"], tuple(pose.values()), texts["sensor"], spans, blind)
+    more = {key: content[key] for key in _MORE if content.get(key)}
+    more = _read(TomlTable(more, str(path)), {key: _MORE[key] for key in more})
+    blind, origin = more.get("blind_sectors_deg", ()), more.get("origin_m", (0.0, 0.0, 0.0))
+    hung = Hung(texts["axes"], tuple(pose.values()), texts["sensor"], spans, blind, origin)
     try:
         load_model(hung.sensor)
         hung.placed(np.zeros((1, 3)))

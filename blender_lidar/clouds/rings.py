@@ -86,7 +86,7 @@ def rings_of(points: np.ndarray, lattice: BeamLattice, where: str) -> tuple[Ring
         For fewer than `LEAST_ON_RINGS` near the rings.
     """
     rings, share = table_rings(points, lattice)
-    if share < LEAST_ON_RINGS:
+    if len(points) and share < LEAST_ON_RINGS:
         raise InputError(
             f"{where}: {100.0 * share:.0f} % of its {len(points)} points are near the rings of "
             f"{lattice.model.name}, where chance gives 50 %; allowed: {100.0 * LEAST_ON_RINGS:.0f} % or more. "

@@ -72,18 +72,20 @@ def run(args: argparse.Namespace) -> int:
         progress.close()
     plan = against_plan(site, layout, number, found.fit) if site else None
     result = {"schema": COMMISSION_SCHEMA, "clouds": len(clouds), "source": list(args.clouds)}
-    result |= result_of(found, asked.axes, plan)
+    result |= result_of(found, asked.axes, asked.origin or (0.0, 0.0, 0.0), plan)
     make_folder(folder, "--out")
     for name in _OURS:  # of an earlier cloud
         (folder / name).unlink(missing_ok=True)
+    write_text(folder / RESULT, json.dumps(result, indent=2, allow_nan=False) + "\n")
     write_text(folder / BEAMS, unit_table(found))
     write_text(folder / DEPLOYMENT, deployment(found))
     written = [RESULT, BEAMS, DEPLOYMENT]
     if len(clouds) >= FEWEST_CLOUDS:
         try:
-            write_columns(folder / BOXES, _boxes(found, clouds, args.clouds), _DIGITS)
+            drives_on = site.scenario.straight.drives_on if site else asked.drives_on
+            write_columns(folder / BOXES, _boxes(found, clouds, args.clouds, drives_on), _DIGITS)
             written.append(BOXES)
-        except MissingExtraError as error:
+        except (MissingExtraError, InputError) as error:
             note(f"no boxes: {error}")
     if plan:
         write_text(folder / SHEET, correction_sheet(result))
@@ -93,7 +95,6 @@ def run(args: argparse.Namespace) -> int:
         written.append(PICTURE)
     except MissingExtraError as error:
         note(f"no picture: {error}")
-    write_text(folder / RESULT, json.dumps(result, indent=2, allow_nan=False) + "\n")
     return say_result(args, f"{commission_text(result)}\n\nResults in {folder}: {', '.join(written)}", result)
 
 
@@ -113,7 +114,9 @@ def _in_sensor_frame(points: np.ndarray, asked: CommissionOptions) -> np.ndarray
     return in_frame(points - (asked.origin or (0.0, 0.0, 0.0)), asked.axes, None)
 
 
-def _boxes(found: Commissioned, clouds: Sequence[np.ndarray], paths: Sequence[str]) -> Mapping[str, np.ndarray]:
+def _boxes(
+    found: Commissioned, clouds: Sequence[np.ndarray], paths: Sequence[str], drives_on: str
+) -> Mapping[str, np.ndarray]:
     """Boxes fitted to the vehicles, in the road frame; frames are the numbers in the clouds' names, or 0 on."""
     pose, lattice = found.fit.pose, beam_lattice(found.model)
     phase = beam_phase(clouds, lattice)
@@ -122,7 +125,7 @@ def _boxes(found: Commissioned, clouds: Sequence[np.ndarray], paths: Sequence[st
         for points, path in zip(clouds, paths, strict=True)
     ]
     detector = ClassicalDetector(lattice, (0.0, 0.0), AS_RECORDED)
-    table = fit_boxes(with_beams, detector, [one.y_m for one in found.fit.carriageways])
+    table = fit_boxes(with_beams, detector, [one.y_m for one in found.fit.carriageways], drives_on)
     try:
         numbers = np.array([frame_of(Path(path)) for path in paths])
     except InputError:

@@ -26,7 +26,7 @@ from ..detection.judge import (
     judging_frames,
     weights_of,
 )
-from ..detection.labels import read_labels
+from ..detection.labels import labelled_numbers, read_labels
 from ..detection.pillars import PillarsDetector, load_weights
 from ..detection.scores import CRITERIA
 from ..detection.stored import (
@@ -238,7 +238,7 @@ def _run_clouds(args: argparse.Namespace, place: Path) -> int:
     with ExitStack() as stack:
         found = detect_in_clouds(place, args.detector, _workers(args), _progress(stack), hung, asked.get("region"))
     if labels is not None:
-        judged = judge_in_clouds(found, labels, asked["boxes"], args.accept)
+        judged = judge_in_clouds(found, labels, asked["boxes"], args.accept, labelled_numbers(asked["boxes"]))
         result = {"clouds": place.resolve().name, "detector": args.detector, **judged}
         _write(folder, {"": (found.boxes, found.pose)}, result)
         return _print(args, folder, result, f"{counted(result['frames'], 'frame')}, boxes of {asked['boxes']}")

@@ -554,6 +554,8 @@ class CommissionOptions:
         Where x, y and z of the clouds point: r(ight) or l(eft), f(orward) or b(ack), u(p) or d(own), such as flu.
     origin : (float, float, float) or None
         Place of the sensor in the clouds [m], where they are in another frame with the sensor's axes.
+    drives_on : str
+        The side of traffic, by which fitted boxes head on two carriageways; the plan's with --run.
     out : str or None
         Folder of the results; by default a new one under runs/.
     json : bool
@@ -565,6 +567,7 @@ class CommissionOptions:
     origin: tuple[float, float, float] | None = setting(
         None, low=-1e9, high=1e9, option="--origin", metavar=("X", "Y", "Z")
     )
+    drives_on: str = setting("right", allowed=("right", "left"), option="--drives-on")
     out: str | None = setting(None, option="--out", metavar="DIR")
     json: bool = setting(False, option="--json")
 
@@ -584,7 +587,9 @@ def _commission(subparsers) -> None:
     said = "folder of the run that planned the mounting: tell how the LiDAR hangs beside its plan, and what that costs"
     plan("--run", dest="of_run", action=Once, metavar="RUN_DIR", help=said)
     plan("--lidar", action=Once, metavar="NAME", help="which LiDAR of a run of several it is")
-    add_options(parser, CommissionOptions, {"cloud": ("sensor", "axes", "origin"), "output": ("out", "json")})
+    add_options(
+        parser, CommissionOptions, {"cloud": ("sensor", "axes", "origin", "drives_on"), "output": ("out", "json")}
+    )
 
 
 # --- What there is ----------------------------------------------------------------------------------------------------

@@ -27,8 +27,8 @@ _KINDS_OF_NAMES = {
     **dict.fromkeys(("motorcycle", "cyclist", "bicycle"), _SMALL),
 }
 """What detectors of KITTI and nuScenes call vehicles, in small letters."""
-NO_VEHICLES = ("pedestrian", "person_sitting", "traffic_cone", "barrier", "misc", "dontcare")
-NO_VEHICLES += ("unknown", "cone", "trafficcone")  # all left out
+NO_VEHICLES = ("pedestrian", "person_sitting", "traffic_cone", "barrier", "misc", "dontcare", "roadworker", "child")
+NO_VEHICLES += ("animal", "trashcan", "roadbarrel", "unknown", "unknown1", "unknown2", "cart", "cone", "trafficcone")
 _PLACE, _SIZE = Column("a number of metres, -1e9 to 1e9", -1e9, 1e9), Column("more than 0, up to 1000", 1e-3, 1e3)
 _COLUMNS = {
     "frame": Column("a whole number", whole=True),

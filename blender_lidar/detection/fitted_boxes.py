@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +28,7 @@ _FEWEST, _LOWEST_M = 5, 0.5  # points of a vehicle, and their top
 _TURNED_POINTS, _MOST_TURNED_RAD, _STRETCH_M = 60, math.radians(5.0), 0.4  # with fewer it heads as the road does
 # Shorter, narrower or lower ones are not seen whole; nor are tops beyond, as rings lie too far apart.
 _SHORTEST_M, _NARROWEST_M, _LOWEST_TOP_M, _TOP_SEEN_M = 3.3, 1.5, 1.25, 80.0
+_MEDIAN_M = 1.0  # between two directions
 _ON_SIDE_M, _GAP_M, _BEFORE_M = 0.4, 0.8, 0.5  # a side has no longer gap; an end is seen from so far before it
 
 
@@ -47,7 +49,8 @@ def fit_boxes(
     carriageways_y : sequence of (float, float)
         From which y to which each lies [m].
     drives_on : {"right", "left"}
-        The side of traffic, which of two carriageways tells the way that each heads.
+        The side of traffic, which of two carriageways with a median between tells the way that each heads; on one all
+        are taken to head along x.
 
     Returns
     -------
@@ -57,14 +60,19 @@ def fit_boxes(
     """
     lidar, images = np.array([*detector.lidar_xy, 0.0]), np.array([detector.range_image(cloud) for cloud in clouds])
     everywhere, rows = np.concatenate([cloud.xyz for cloud in clouds]) - lidar, []
+    foreground = []
+    for frame, cloud in enumerate(clouds):
+        detector.learn(np.delete(images, frame, axis=0))
+        foreground.append(cloud.xyz[detector.nearer(cloud)])
+    ends = sorted(carriageways_y)
+    parted = any(later[0] - earlier[1] >= _MEDIAN_M for earlier, later in pairwise(ends))  # else two sides of a crown
     for span in carriageways_y:
         low, high = np.array(span) - lidar[1]
         near = (everywhere[:, 1] > low) & (everywhere[:, 1] < high) & (np.abs(everywhere[:, 0]) < _SURFACE_M)
-        surface, other = fit_ground(everywhere[near]), len(carriageways_y) > 1
-        back = other and (np.mean(span) > np.mean(carriageways_y)) == (drives_on == "right")
-        for frame, cloud in enumerate(clouds):
-            detector.learn(np.delete(images, frame, axis=0))
-            points = cloud.xyz[detector.nearer(cloud)] - lidar
+        surface = fit_ground(everywhere[near])
+        back = parted and (np.mean(span) > np.mean(carriageways_y)) == (drives_on == "right")
+        for frame, points in enumerate(foreground):
+            points = points - lidar
             points[:, 2] = surface.above(points)
             mine = (points[:, 1:] > [low, _HEIGHTS_M[0]]) & (points[:, 1:] < [high, _HEIGHTS_M[1]])
             for cluster in _clusters(points[mine.all(axis=1)], detector):
@@ -123,4 +131,5 @@ def _edge_heading(xy: np.ndarray) -> float:
     edge = xy[order[np.unique(stretch[order], return_index=True)[1]]]
     off = np.abs(edge[:, 1] - np.polyval(np.polyfit(*edge.T, 1), edge[:, 0]))
     slope = np.polyfit(*edge[np.argsort(off)[: max(3, int(0.7 * len(edge)))]].T, 1)[0]
-    return float(np.clip(math.atan(slope), -_MOST_TURNED_RAD, _MOST_TURNED_RAD))
+    turn = math.atan(slope)
+    return turn if abs(turn) < _MOST_TURNED_RAD else 0.0  # more is no side of a vehicle that follows the road

@@ -173,14 +173,12 @@ class RecordedClouds:
         if not beams:
             return cls(hung, low, high, spans)
         lattice, some = beam_lattice(load_model(hung.sensor)), paths[:: len(paths) // _OF_PHASE + 1]
-        return cls(
-            hung, low, high, spans, lattice, beam_phase((sensor_points(path, hung.axes) for path in some), lattice)
-        )
+        return cls(hung, low, high, spans, lattice, beam_phase((sensor_points(path, hung) for path in some), lattice))
 
     def read(self, path: Path) -> tuple[PointCloud, int]:
         """A cloud, of which the points and perhaps the beams are known, and the number at the end of its name."""
         frame = frame_of(path)
-        points = sensor_points(path, self.hung.axes)
+        points = sensor_points(path, self.hung)
         xyz = in_frame(points, "rfu", self.hung.at)
         if self.lattice is None:
             cloud = PointCloud(xyz, *np.zeros((9, len(xyz))))
@@ -192,10 +190,10 @@ class RecordedClouds:
         return self.read(path)[0]
 
 
-def sensor_points(path: Path, axes: str) -> np.ndarray:
+def sensor_points(path: Path, hung: Hung) -> np.ndarray:
     """Points of a recorded cloud from its sensor, x to the right and y ahead, (n, 3) [m]; a zero is no return."""
-    points = in_frame(read_points(path)[0], axes, None)
-    return points[points.any(axis=1)]
+    points = read_points(path)[0]
+    return hung.seen(points[points.any(axis=1)])
 
 
 class FoundInClouds(NamedTuple):
@@ -291,23 +289,32 @@ def detect_in_clouds(
 
 
 def judge_in_clouds(
-    found: FoundInClouds, labels: Recording, where: str, accept: Sequence[str] | None
+    found: FoundInClouds, labels: Recording, where: str, accept: Sequence[str] | None, empty: Sequence[int] = ()
 ) -> dict[str, object]:
     """What was found in clouds, judged by labelled boxes, for a result file, as `judge.detection_result`.
 
     Frames that have no boxes are left out. Boxes count where the detector looked, and there what is not labelled is a
-    false alarm. For the intervals each frame is a block. `where` names the labels.
+    false alarm. For the intervals each frame is a block. `where` names the labels; frames of `empty` were labelled and
+    may have no vehicle.
 
     Raises
     ------
     InputError
         For labels of other frames, or that do not fit unless that is in `accept`.
     """
-    numbers = [number for number in found.boxes if number in labels.frames]
+    numbers = [number for number in found.boxes if number in labels.frames or number in empty]
     if not numbers:
         ends = f"{labels.frames[0]} to {labels.frames[-1]}, and the clouds {min(found.boxes)} to {max(found.boxes)}"
         raise InputError(f"--boxes: {where}: has the frames {ends}; allowed: boxes of frames of the clouds")
-    boxes, vehicles = [found.boxes[number] for number in numbers], [labels.vehicles(number) for number in numbers]
+    boxes, vehicles = (
+        [found.boxes[number] for number in numbers],
+        [
+            labels.vehicles(number)
+            if number in labels.frames
+            else labels.vehicles(int(labels.frames[0])).select(slice(0))
+            for number in numbers
+        ],
+    )
     warnings = accepted(detections_misfit(boxes, vehicles), where, accept)
     region = found.region
     frames, xy = [CountedFrame(one, region.holds(one)) for one in vehicles], tuple(found.pose.position[:2])

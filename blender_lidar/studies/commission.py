@@ -439,7 +439,7 @@ def _measured(fit: RoadFit) -> dict[str, tuple[Estimate, float]]:
     return found if fit.yaw is None else {**found, "yaw_deg": (fit.yaw, degrees)}
 
 
-def result_of(found: Commissioned, axes: str, plan: Mapping | None) -> dict:
+def result_of(found: Commissioned, axes: str, origin_m: Sequence[float], plan: Mapping | None) -> dict:
     """What clouds said, for a result file; lengths in metres and angles in degrees, as the keys say."""
     fit = found.fit
     mounting = {}
@@ -456,6 +456,7 @@ def result_of(found: Commissioned, axes: str, plan: Mapping | None) -> dict:
         "on_rings": found.match.on_rings,
         "left_out": found.left_out,
         "axes": axes,
+        "origin_m": list(origin_m),
         "pose": fit.pose.as_table(),
         "mounting": mounting,
         "direction_from": fit.direction_from,

@@ -27,7 +27,7 @@ from ..statistics import FEWEST_BLOCKS, RESAMPLES, interval_90, resampled_weight
 from ..world.meshes import GLASS, REFLECTIVITY
 from ..world.shapes import shape
 from ..world.triangles import Triangles, place
-from .recorded import NO_POINT, Firings, LabelledBoxes, Rays, RecordedFrame
+from .recorded import NO_POINT, PLACE_ALONE, Firings, LabelledBoxes, Rays, RecordedFrame
 
 CLEARANCE_M = 0.15
 """Hits less than this above a box's floor are left out, of both sides: in KITTI the road shows as a hump of returns
@@ -333,6 +333,7 @@ def chosen(boxes: LabelledBoxes, setup: Setup, left_out: Counter) -> np.ndarray:
     """Rows of the vehicles to compare; the others of those classes are counted by the reason why not."""
     left, away = boxes.of_class(setup.classes), distance_m(boxes, setup.pose)
     near, far = setup.between_m
+    left_out["of a guessed size"] += int((boxes.label == PLACE_ALONE).sum())
     reasons = {"nearer": away < near, "farther": away >= far}
     for reason, why in reasons.items():
         left_out[reason] += int((left & why).sum())
@@ -406,5 +407,8 @@ def resampled_medians(values: np.ndarray, cluster: np.ndarray) -> np.ndarray | N
     for of_one in values:
         order = np.argsort(of_one, kind="stable")
         reached = np.cumsum(weights[:, order], axis=1)
-        medians.append(of_one[order][np.argmax(reached >= 0.5 * reached[:, -1:], axis=1)])
+        half, ascending = 0.5 * reached[:, -1:], of_one[order]
+        medians.append(
+            0.5 * (ascending[np.argmax(reached >= half, axis=1)] + ascending[np.argmax(reached > half, axis=1)])
+        )
     return np.array(medians)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,13 +13,14 @@ import numpy as np
 from ..clouds.commissioned import Hung
 from ..clouds.files import read_points
 from ..clouds.rings import Rings
-from ..detection.labels import read_labels
+from ..detection.labels import frame_of, places_alone, read_labels
 from ..errors import InputError
 from ..metrics.vgop import to_vehicle_frame
 from ..sensors.pose import Pose
 from ..world.triangles import shape_names
 
 NO_POINT = -1
+PLACE_ALONE = "place alone"  # the label of a box of a guessed size
 _TURN = 2.0 * math.pi
 
 # --- Points and boxes -------------------------------------------------------------------------------------------------
@@ -94,9 +96,10 @@ def labelled_frames(
     clouds : sequence of path
         As `read_points` takes them.
     labels : path
-        As `read_labels` takes them; a table's are in the frame of the clouds.
+        As `read_labels` takes them; a table's are in the frame of the clouds. Boxes of which only the place is known
+        hide others, and are not compared.
     frames : sequence of int, optional
-        For each cloud its frame in the labels; not needed for one cloud where these have one frame.
+        For each cloud its frame in the labels; by default the number that its name ends with, or the only frame.
     hung : Hung, optional
         Brings the clouds from the sensor's own frame to that of the road, which a table's boxes are in then.
 
@@ -108,26 +111,39 @@ def labelled_frames(
     recording = read_labels(labels, hung).vehicles_alone
     known = recording.frames
     if frames is None:
-        if len(clouds) > 1 or len(known) > 1:
+        frames = known[:1] if len(clouds) == len(known) == 1 else _named(clouds)
+        if not np.isin(frames, known).all():
             raise InputError(
                 f"--boxes: {labels}: holds {len(known)} frames, {known[0]} to {known[-1]}, for {len(clouds)} "
-                "clouds; give --frame with a number for each cloud"
+                "clouds, whose names end with others or none; give --frame with a number for each cloud"
             )
-        frames = known[:1]
     if len(frames) != len(clouds):
         raise InputError(f"--frame: {len(frames)} numbers; allowed: one for each of the {len(clouds)} clouds")
+    alone = places_alone(labels)
     for cloud, frame in zip(clouds, frames, strict=True):
         vehicles = recording.vehicles(int(frame))
+        guessed = [(int(frame), own) in alone for own in vehicles.vehicle_id.tolist()]
         boxes = LabelledBoxes(
             number=vehicles.vehicle_id,
-            label=vehicles.class_name,
-            shape=shape_names(vehicles),
+            label=np.where(guessed, PLACE_ALONE, vehicles.class_name),
+            shape=np.where(guessed, "", shape_names(vehicles)),
             centre_m=vehicles.centre_m,
             size_m=vehicles.size_m,
             heading_rad=vehicles.heading_rad,
         )
         points = read_points(cloud)[0]
         yield RecordedFrame(str(int(frame)), str(cloud), points if hung is None else hung.placed(points), boxes)
+
+
+def _named(clouds: Sequence[str]) -> list[int]:
+    """The numbers that the names of clouds end with, -1 for those that have none."""
+    found = []
+    for cloud in clouds:
+        try:
+            found.append(frame_of(Path(cloud)))
+        except InputError:
+            found.append(-1)
+    return found
 
 
 # --- Rays -------------------------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Both detectors, and boxes of our own, on frames of a real roadside LiDAR beside boxes fitted independently.
 
-    python scripts/research/roadside_detection.py --chengdu DIR
+    python scripts/research/roadside_detection.py --roadside DIR
 
 DIR holds frames_float16.npz and vehicles_fitted.csv of a motorway in Chengdu. Makes tables: recall of boxes of A to C
 and false alarms a frame, by range, for `classical`, `pillars`, and `pillars` on clouds levelled by each carriageway's
@@ -142,8 +142,8 @@ def tables(folder: Path) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("--chengdu", required=True, type=Path, metavar="DIR")
-    return run_script("roadside_detection", partial(tables, parser.parse_args(argv).chengdu))
+    parser.add_argument("--roadside", required=True, type=Path, metavar="DIR")
+    return run_script("roadside_detection", partial(tables, parser.parse_args(argv).roadside))
 
 
 if __name__ == "__main__":
