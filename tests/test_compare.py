@@ -13,6 +13,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from blender_lidar.cli import main
 from blender_lidar.clouds.rings import table_rings
@@ -23,7 +25,8 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.studies.compare import Setup, compare_frames, median_interval
+from blender_lidar.statistics import RESAMPLES, resampled_weights
+from blender_lidar.studies.compare import Setup, compare_frames, median_interval, resampled_medians
 from blender_lidar.studies.recorded import (
     NO_POINT,
     Firings,
@@ -424,3 +427,13 @@ def test_rays_of_a_blind_sector_count_on_neither_side():
     assert lost["simulated_points"] > 1.3 * lost["real_points"]
     assert aside["simulated_points"] == pytest.approx(aside["real_points"], rel=0.05)
     assert aside["hidden_share"] > 0.3
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_resampled_medians_are_medians_of_the_values_that_were_drawn(seed):
+    rng = np.random.default_rng(seed)
+    values, cluster = rng.integers(0, 9, 8).astype(float), np.repeat(np.arange(4), 2)
+    weights = resampled_weights(4, np.random.default_rng(1), RESAMPLES)[:, cluster]
+    found = resampled_medians(values[None], cluster)[0]
+    for row in range(0, RESAMPLES, RESAMPLES // 40):
+        assert found[row] == np.median(np.repeat(values, weights[row].astype(int)))
