@@ -182,6 +182,18 @@ def test_real_frames_agree_on_height_and_leans_and_with_an_independent_fit():
     assert math.degrees(np.mean(tilt_y)) == pytest.approx(0.40, abs=0.05)
 
 
+def test_errors_of_rings_do_not_make_ground_beside_the_road_a_part_of_it():
+    name = "s348565000"
+    points, model = chengdu()[1][name], load_model(V2R)
+    seen = elevations(points, 0.036)
+    ring = nearest_ring(seen, model.elevation_rad)
+    for seed in (1, 2):
+        off = np.random.default_rng(seed).normal(0.0, math.radians(0.02), model.rings)
+        azimuth, away = np.arctan2(points[:, 0], points[:, 1]), np.linalg.norm(points, axis=1)
+        fit = commission([away[:, None] * beam_directions(azimuth, seen + off[ring])], [name]).fit
+        assert math.degrees(fit.tilt_y.value) == pytest.approx(0.40, abs=0.1)
+
+
 def test_a_real_background_shows_lens_blind_sector_and_corrections_like_an_independent_ones():
     frames = chengdu()[1]
     found = commission([*frames.values()], [*frames])

@@ -28,6 +28,7 @@ _BIN_M, _LEVEL_M, _FEWEST_OF_STRIP = 0.5, 0.06, 15  # of the section
 _FINE_M, _ROUGH_M = 0.005, 0.03  # of the section about its pieces
 _BESIDE_M = 10.0  # what vehicles drive on, as far as the section is looked at
 _WITHOUT_TRAFFIC = -20.0, 20.0  # what is looked at where no vehicles are [m]
+_STEEPEST_FALL = 0.12  # between two strips of one road: what slopes more is beside it
 _UNDER_M = 2.0  # about y = 0, where the height is
 _RING_GROUPS = 8
 _ROUNDS = 8  # of weighted least squares
@@ -142,6 +143,9 @@ def fit_surface(
     strips = _strips(ground, residual, span, driven)
     if not strips:
         raise InputError("no strip of road 3 m wide is seen")
+    fall = _slopes(section, breaks, strips)
+    widest = fall[int(np.argmax(np.ptp(strips, axis=1)))]
+    strips = [one for one, slope in zip(strips, fall, strict=True) if abs(slope - widest) <= _STEEPEST_FALL]
     # What lies beside the road has slopes of its own.
     kept = (np.abs(ground.t) < _UNDER_M) | np.any([(ground.t >= a) & (ground.t <= b) for a, b in strips], axis=0)
     beyond = _slopes(section, breaks, _planes(breaks, _strips(ground, residual, span, span if known else driven)))
@@ -302,6 +306,8 @@ def _strips(
     found = []
     for first, last in runs:  # beyond what vehicles drive on as far as a barrier, if one is near
         low, high = driven
+        if min(last, high) - max(first, low) < _NARROWEST_M:
+            continue
         if (np.abs(walls - first) <= _AT_BARRIER_M).any():
             low = first
         if (np.abs(walls - last) <= _AT_BARRIER_M).any():
@@ -321,26 +327,30 @@ def _slopes(x: np.ndarray, breaks: Sequence[float], planes: Sequence[tuple[float
 def _frame(
     solved: _Solved, breaks: Sequence[float], strips: Sequence[tuple[float, float]]
 ) -> tuple[RoadFrame, float, float]:
-    """The road's frame by a fitted surface; its mean slope across, and how far two prolonged levels are apart [m].
+    """The road's frame by a fitted surface, the doubt in its slope across, and how far two levels are apart [m].
 
     The slope across is the mean of both sides of the crown, the bend at which the surface turns down most, whatever is
-    seen of each. Where the LiDAR stands between two carriageways, the level is the mean of both prolonged.
+    seen of each. It may be no crown: a quarter of what that and the mean over the width differ by is in doubt, and half
+    of what planes of one side differ by. Where the LiDAR stands between two carriageways, the level is the mean of both
+    prolonged.
     """
     planes = _planes(breaks, strips)
     low, high = np.array(planes).T
     widths, slopes = high - low, _slopes(solved.x, breaks, planes)
     whole = across = float(widths @ slopes / widths.sum())
+    uneven = 0.0
     if len(planes) > 1:
         crown = int(np.argmax(slopes[:-1] - slopes[1:])) + 1
         sides = slice(crown), slice(crown, None)
         across = 0.5 * sum(float(widths[of] @ slopes[of] / widths[of].sum()) for of in sides)
+        uneven = max(float(np.ptp(slopes[of])) for of in sides)
     level, apart = float(_height_across(solved.x, breaks, 0.0)), 0.0
     right, left = np.flatnonzero(high <= 0.0), np.flatnonzero(low >= 0.0)
     if len(right) and len(left):  # in a median
         edges = (high[right[-1]], slopes[right[-1]]), (low[left[0]], slopes[left[0]])
         one, other = (float(_height_across(solved.x, breaks, at) - slope * at) for at, slope in edges)
         level, apart = 0.5 * (one + other), abs(one - other)
-    return RoadFrame(level, float(solved.x[-3]), across), whole, apart
+    return RoadFrame(level, float(solved.x[-3]), across), max(0.25 * abs(across - whole), 0.5 * uneven), apart
 
 
 def _doubt(
@@ -352,12 +362,10 @@ def _doubt(
 ) -> RoadFrame:
     """What is in doubt of the road's frame: half of what two prolonged levels are apart, and the slope across.
 
-    Where a crown is seen between vehicles, a quarter of what the mean of its sides and that over the width differ by.
-    Where none is, or no vehicles are `known`, it may lie elsewhere: half of the most by which another plane of the
-    section slopes otherwise; their slopes are `beyond` (p,).
+    Where no crown is seen between vehicles, or no vehicles are `known`, it may lie elsewhere: half of the most by which
+    another plane of the section slopes otherwise; their slopes are `beyond` (p,).
     """
-    frame, whole, apart = _frame(solved, breaks, strips)
-    across = 0.25 * abs(frame.across - whole)
+    frame, across, apart = _frame(solved, breaks, strips)
     if not known or len(_planes(breaks, strips)) == 1:
         across = max(across, 0.5 * float(np.abs(beyond - frame.across).max()))
     return RoadFrame(0.5 * apart, 0.0, across)
