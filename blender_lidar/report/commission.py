@@ -24,6 +24,7 @@ _COORDINATES = {
     "yaw_deg": ("yaw against the road", "deg", 1),
 }
 _WIDTH = 110
+_EXACT_DEG = 0.003  # of rings on a road: less is the fit's own
 _TOLD = (
     "The leans are against the road: points do not show the plumb line, so that a lean across the road and its "
     "cross-fall, or a lean along it and its grade, are one number.",
@@ -113,19 +114,19 @@ def _sensor_notes(result) -> list[str]:
     if result["dead_rings"]:
         notes.append(f"Rings with next to no returns: {', '.join(map(str, result['dead_rings']))} (0 is the lowest).")
     unit = result["unit"]
-    if unit["off_before_deg"]:
-        before, after = unit["off_before_deg"], unit["off_after_deg"]
+    before, after, halves = (unit[key] for key in ("off_before_deg", "off_after_deg", "learnt_and_judged_on"))
+    if before is None:
+        notes.append("Too few rings see both halves of the road for corrections of this unit's beams.")
+    elif before < _EXACT_DEG:
+        notes.append(f"The rings lie on the road to {before:.3f} degrees: there is nothing to correct.")
+    else:
         worth = (
-            f"take their error from {before:.3f} to {after:.3f} degrees"
-            if after < before
-            else "do not make them better"
+            f"take their error from {before:.3f} to {after:.3f} degrees" if after < before else "make them no better"
         )
         notes.append(
             f"Elevations of {unit['rings']} rings were learnt from the road; on the half of it that did not teach them "
-            f"({unit['learnt_and_judged_on']}) the corrections {worth}."
+            f"({halves}) the corrections {worth}."
         )
-    else:
-        notes.append("Too few rings see both halves of the road for corrections of this unit's beams.")
     return notes
 
 
