@@ -19,9 +19,9 @@ import numpy as np
 from .clouds.files import read_points
 from .clouds.scan import PointCloud, joined_clouds
 from .clouds.snapshot import fused_header, mounted_sensors
+from .commands.cloud_options import ScoreOptions
 from .commands.optimise import check_searched, write_pages
 from .commands.options import in_words, layout_of, scene_settings
-from .commands.parsers import ScoreOptions
 from .commands.progress import RunProgress
 from .commands.score import boxes_of, metrics_of, score_table
 from .errors import InputError, shown, unknown_name

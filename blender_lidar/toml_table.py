@@ -304,6 +304,10 @@ class TomlTable:
                 raise unknown_name(key, declared, "key", self.origins.get(key, self.name))
         return {key: self._value(key, one) for key, one in declared.items()}
 
+    def some(self, declared: Mapping[str, Setting]) -> dict[str, Any]:
+        """The same of a table that may hold more than is declared."""
+        return TomlTable({key: self.values[key] for key in declared if key in self.values}, self.name).read(declared)
+
     def read_as(self, declared: type) -> Any:
         """The table as a dataclass declares it."""
         return declared(**self.read(settings_of(declared)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -72,13 +72,13 @@ def read_commission(path: str | Path, beside: Sequence[str] = ()) -> Hung:
         except (ValueError, RecursionError) as error:
             raise InputError(f"{path}: is not JSON: {printable(str(error))}") from error
     table = TomlTable(content, str(path))
-    texts, pose, rows = _read(table, _TEXTS), _read(table.table("pose"), _POSE), content.get("carriageways")
+    texts, pose, rows = table.some(_TEXTS), table.table("pose").some(_POSE), content.get("carriageways")
     if not isinstance(rows, list) or not rows:
         raise InputError(f"{path}: carriageways: is {printable(str(rows))}; allowed: a list of tables with y_m")
     each = [TomlTable(row, f"{path}: carriageways {at}") for at, row in enumerate(rows, 1)]
-    spans = [_read(one, {"y_m": _SPAN})["y_m"] for one in each]
+    spans = [one.some({"y_m": _SPAN})["y_m"] for one in each]
     more = {key: content[key] for key in _MORE if content.get(key)}
-    more = _read(TomlTable(more, str(path)), {key: _MORE[key] for key in more})
+    more = TomlTable(more, str(path)).read({key: _MORE[key] for key in more})
     blind, origin = more.get("blind_sectors_deg", ()), more.get("origin_m", (0.0, 0.0, 0.0))
     hung = Hung(texts["axes"], tuple(pose.values()), texts["sensor"], spans, blind, origin)
     try:
@@ -87,8 +87,3 @@ def read_commission(path: str | Path, beside: Sequence[str] = ()) -> Hung:
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return hung
-
-
-def _read(table: TomlTable, declared: Mapping[str, Setting]) -> dict:
-    """What is declared of a table that may hold more."""
-    return TomlTable({key: table.values.get(key) for key in declared}, table.name).read(declared)

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..clouds.commissioned import COMMISSION
+from ..clouds.commissioned import COMMISSION, Hung
 from ..clouds.files import read_grid, read_points
-from ..clouds.fit import in_frame
 from ..clouds.rings import beam_phase, on_beams
 from ..detection.classical import ClassicalDetector
 from ..detection.fitted_boxes import fit_boxes
@@ -26,8 +25,8 @@ from ..scene.site import prepare
 from ..sensors.beams import beam_lattice
 from ..sensors.model import load_model
 from ..studies.commission import FEWEST_CLOUDS, Commissioned, against_plan, commission, result_of
+from .cloud_options import CommissionOptions
 from .options import check_scipy, layout_of_run, new_folder, options_of
-from .parsers import CommissionOptions
 from .progress import Progress
 from .report import note, say_result
 
@@ -56,7 +55,8 @@ def run(args: argparse.Namespace) -> int:
         given = given or site.each[number].model
     elif args.lidar is not None:
         raise InputError("--lidar: is given without --run; allowed: both")
-    clouds = [_in_sensor_frame(read_points(path)[0], asked) for path in args.clouds]
+    seen = Hung(asked.axes, (0.0,) * 6, origin_m=asked.origin or (0.0, 0.0, 0.0)).seen
+    clouds = [seen(read_points(path)[0]) for path in args.clouds]
     grid = read_grid(args.clouds[0])
     progress = Progress(len(clouds), "clouds")
     try:
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
             clouds,
             args.clouds,
             given,
-            None if grid is None else _in_sensor_frame(grid.reshape(-1, 3), asked).reshape(grid.shape),
+            None if grid is None else seen(grid.reshape(-1, 3)).reshape(grid.shape),
             layout[number].pose.yaw if site else None,
             lambda: progress.advance(1),
         )
@@ -107,11 +107,6 @@ def _number(name: str | None, scenario) -> int:
         what = "is not given" if name is None else f"is {name!r}"
         raise InputError(f"--lidar: {what}; allowed: {', '.join(filter(None, names)) or 'none for a run of one LiDAR'}")
     return names.index(name)
-
-
-def _in_sensor_frame(points: np.ndarray, asked: CommissionOptions) -> np.ndarray:
-    """Points as they come, from the sensor's place, with x to the right of y and z up."""
-    return in_frame(points - (asked.origin or (0.0, 0.0, 0.0)), asked.axes, None)
 
 
 def _boxes(

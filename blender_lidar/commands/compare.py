@@ -26,8 +26,8 @@ from ..studies.compare import NO_LOSSES, Setup, aggregate, compare_frames
 from ..studies.recorded import labelled_frames
 from ..toml_table import settings_of
 from ..world.shapes import DETAILS
+from .cloud_options import CompareOptions
 from .options import new_folder, options_of
-from .parsers import CompareOptions
 from .progress import Progress
 from .report import note, say_result
 

@@ -56,8 +56,8 @@ from ..scoring.evaluation import Evaluator, workplace_of
 from ..toml_table import settings_of
 from ..traffic.boxes import DetectedBoxes
 from ..traffic.vehicles import counted
+from .cloud_options import recorded_settings
 from .options import default_folder, given_options, layout_from, new_folder, scenario_from
-from .parsers import recorded_settings
 from .progress import Progress
 from .report import note, say_result
 

@@ -24,8 +24,8 @@ from ..report.summary import warnings_text
 from ..traffic import read_table
 from ..traffic.source import NUMBERED
 from ..traffic.vehicles import Vehicles
+from .cloud_options import ScoreOptions
 from .options import options_of
-from .parsers import ScoreOptions
 
 _ALL = "all"
 # Columns of metrics that the table has anyway:

@@ -65,12 +65,7 @@ def coordinates_of(values: Mapping[str, object], where: str, keys: Sequence[str]
     InputError
         Where one is missing or no number.
     """
-    return _declared(values, dict.fromkeys(keys, Setting(low=-_FARTHEST, high=_FARTHEST)), where)
-
-
-def _declared(values: Mapping[str, object], declared: Mapping[str, Setting], where: str) -> dict[str, Any]:
-    """Those of some values that are declared, checked as settings of a scene are."""
-    return TomlTable({key: value for key, value in values.items() if key in declared}, where).read(declared)
+    return TomlTable(values, where).some(dict.fromkeys(keys, Setting(low=-_FARTHEST, high=_FARTHEST)))
 
 
 _FARTHEST = 1e9
@@ -112,7 +107,7 @@ class StoredClouds:
                 f"{path}: is of several LiDARs; allowed: the folder of one that scan wrote beside, or detect SCENE"
             )
         where = f"{path}: its header"
-        found = _declared(header, _OF_HEADERS, where)
+        found = TomlTable(header, where).some(_OF_HEADERS)
         name, rate = found["sensor"], found["rotation_hz"]
         if name not in model_names():
             raise InputError(f"{path}: its sensor {name!r} is of a table of its own; detect at its scene")
@@ -432,7 +427,7 @@ def read_dataset(folder: Path) -> StoredDataset:
     outlines, on_map = about.get("outlines_m"), "net" in (about.get("road") or {})
     if on_map and not outlines:
         raise InputError(f"{path}: is of a map with heights; a detector needs a level map")
-    found = _declared(about, {key: _ABOUT[key] for key in _ABOUT if not on_map or key not in _OF_ROADS}, str(path))
+    found = TomlTable(about, str(path)).some({key: _ABOUT[key] for key in _ABOUT if not on_map or key not in _OF_ROADS})
     road = road_map(StraightRoad() if on_map else found["road"])  # both level, and masts say which way they face
     if on_map:
         region = region_within([np.array(one) for one in outlines], about["region"]["keep_out"] or ())

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..statistics import FEWEST_BLOCKS
 from ..studies.commission import FEWEST_CLOUDS
+from ..studies.road_fit import Z_90
 from .figure import INK, sheet
 from .tables import text_table
 
@@ -77,7 +78,7 @@ def _mounting_rows(result):
                 f"  {name} [{unit}]",
                 _number(one["value"], digits),
                 _interval(one["interval_90"], digits),
-                f"+/-{1.645 * one['systematic']:.{digits}f}",
+                f"+/-{Z_90 * one['systematic']:.{digits}f}",
                 *(["-" if spread is None else f"{spread:.{digits + 1}f}"] * several),
             )
         )
@@ -239,7 +240,7 @@ def draw_commission(path: Path, found: Commissioned, result: Mapping) -> None:
         section.legend(markerscale=4.0)
         known = np.isfinite(fit.ring_sd_rad)
         elevation, error = np.degrees(found.model.elevation_rad[known]), np.degrees(-fit.ring_error_rad[known])
-        bars = 1.645 * np.degrees(fit.ring_sd_rad[known])
+        bars = Z_90 * np.degrees(fit.ring_sd_rad[known])
         rings.errorbar(elevation, error, yerr=bars, fmt="o", color="#173f70", markersize=2.5, linewidth=0.8)
         rings.axhline(0.0, color=INK, linewidth=0.8)
         rings.set(

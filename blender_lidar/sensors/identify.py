@@ -28,7 +28,6 @@ _BESIDE_RAD = math.radians(0.35)
 _LEAST_SEEN_OF_UNIT = 0.88
 _UNIT_RAD, _SHIFT_RAD, _SHIFT = math.radians(0.05), math.radians(0.12), 0.35
 _LENSES_M, _LENS_SHOWS = np.arange(-0.02, 0.0621, 0.002), 0.5  # the misfit falls to half: else units' rings may err
-_MOST_OFFSET_RAD = math.radians(1.0)  # of the columns of an organised cloud from a table's azimuth offsets
 
 
 class Match(NamedTuple):

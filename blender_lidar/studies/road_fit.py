@@ -34,7 +34,7 @@ _NOISE_M, _NOISE_BY_RANGE = 0.012, 0.0008  # of the ground about its surface
 _SYSTEMATIC_M, _SYSTEMATIC_RAD = 0.012, math.radians(0.05)  # what an uneven road adds, standard deviations
 _RANGE_M = 0.015  # the same of the error of ranges, which bends of the road are taken for
 _RAILS_RAD, _VEHICLES_RAD = math.radians(0.15), math.radians(0.4)  # of directions: rails bend, bodies taper
-_Z_90 = 1.645
+Z_90 = 1.645
 
 
 class Estimate(NamedTuple):
@@ -47,7 +47,7 @@ class Estimate(NamedTuple):
     @property
     def interval_90(self) -> tuple[float, float]:
         """Ends of the 90 % interval, systematic part included."""
-        half = _Z_90 * math.hypot(self.error, self.systematic)
+        half = Z_90 * math.hypot(self.error, self.systematic)
         return self.value - half, self.value + half
 
 
