@@ -35,9 +35,9 @@ from tests.small_scene import mounting
 def check_a_lidar_duplicated_alone_or_whole_is_another_one():
     for whole, linked in ((False, False), (True, False), (True, True)):
         scene, lidar = loaded()
-        assert bpy.ops.lidar.scan() == {"FINISHED"}
+        assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
         of_first = vertices(cloud_of(lidar)).copy()
-        score, points = lidar.lidar.objective, lidar.lidar.points
+        score, points = lidar.blender_lidar.objective, lidar.blender_lidar.points
         choose(lidar, *(lidar.children if whole else ()))
         assert bpy.ops.object.duplicate(linked=linked) == {"FINISHED"}
         handlers.adopt_all()  # what a timer does in a window
@@ -49,44 +49,44 @@ def check_a_lidar_duplicated_alone_or_whole_is_another_one():
         assert kinds.count(PART) == 2, (case, kinds)
         choose(second)
         assert session.active_lidar(scene) == second
-        second.lidar.name_, second.lidar.x_m, second.lidar.height_m = "VLP-16", 5.0, 2.5
-        assert first.lidar.name_ == "RS-16"
-        assert first.lidar.height_m == 4.0
+        second.blender_lidar.name_, second.blender_lidar.x_m, second.blender_lidar.height_m = "VLP-16", 5.0, 2.5
+        assert first.blender_lidar.name_ == "RS-16"
+        assert first.blender_lidar.height_m == 4.0
         assert abs(evaluated(part(second, "Pole"))[:, 2].max() - 2.5) < 1e-4, case
         assert abs(evaluated(part(second, "Pole"))[:, 2].min()) < 1e-4, case
         assert abs(evaluated(part(first, "Pole"))[:, 2].min()) < 1e-4, case
-        assert bpy.ops.lidar.scan() == {"FINISHED"}
+        assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
         np.testing.assert_array_equal(vertices(cloud_of(first)), of_first, err_msg=case)
-        assert (first.lidar.objective, first.lidar.points) == (score, points), case
-        assert second.lidar.points != points, case
-        assert len(vertices(cloud_of(second))) == second.lidar.points, case
+        assert (first.blender_lidar.objective, first.blender_lidar.points) == (score, points), case
+        assert second.blender_lidar.points != points, case
+        assert len(vertices(cloud_of(second))) == second.blender_lidar.points, case
         choose(first)
-        assert bpy.ops.lidar.scan() == {"FINISHED"}
+        assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
         np.testing.assert_array_equal(vertices(cloud_of(first)), of_first, err_msg=case)
 
 
 def check_a_lidar_is_added_before_traffic_is_loaded_and_dressed_as_its_model():
     scene = new_file()
     scene.cursor.location = (3.0, -1.0, 0.0)
-    assert bpy.ops.lidar.add() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.add() == {"FINISHED"}
     (lidar,) = lidars(scene)
     assert session.active_lidar(scene) == lidar
     place = coordinates_of(lidar)
     assert (place["x_m"], place["y_m"]) == (3.0, -1.0)
     assert abs(evaluated(part(lidar, "Pole"))[:, 2].min()) < 1e-4
     beams = len(fan(lidar).data.splines)
-    lidar.lidar.name_ = "RS-80"
+    lidar.blender_lidar.name_ = "RS-80"
     assert len(fan(lidar).data.splines) == 5 * beams
     scene.blender_lidar.traffic.path = str(example())
-    assert bpy.ops.lidar.load() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
     assert lidars(scene) == [lidar]
     assert coordinates_of(lidar) == place
 
 
 def check_what_a_deleted_lidar_wore_goes_with_it():
     scene = loaded()[0]
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
-    assert bpy.ops.lidar.add() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.add() == {"FINISHED"}
     first = lidars(scene)[0]
     choose(first)
     bpy.ops.object.delete()
@@ -106,35 +106,35 @@ def check_a_scaled_lidar_shows_its_cloud_where_it_is_and_its_pole_on_the_road():
     hang(lidar, mounting(POSE).pose)
     lidar.scale = (2.0, 2.0, 2.0)
     bpy.context.view_layer.update()
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     np.testing.assert_allclose(evaluated(cloud_of(lidar)), vertices(cloud_of(lidar)), atol=1e-4)
     assert abs(evaluated(part(lidar, "Pole"))[:, 2].min()) < 1e-4
 
 
 def check_undo_and_redo_take_back_pose_and_cloud_together():
     lidar = loaded()[1]
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     bpy.ops.ed.undo_push(message="first")
-    name, first = lidar.name, (vertices(cloud_of(lidar)).copy(), coordinates_of(lidar), fields(lidar.lidar))
-    lidar.lidar.x_m, lidar.lidar.tilt_x_deg = 6.0, math.radians(5.0)
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    name, first = lidar.name, (vertices(cloud_of(lidar)).copy(), coordinates_of(lidar), fields(lidar.blender_lidar))
+    lidar.blender_lidar.x_m, lidar.blender_lidar.tilt_x_deg = 6.0, math.radians(5.0)
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     bpy.ops.ed.undo_push(message="second")
-    second = (vertices(cloud_of(lidar)).copy(), coordinates_of(lidar), fields(lidar.lidar))
+    second = (vertices(cloud_of(lidar)).copy(), coordinates_of(lidar), fields(lidar.blender_lidar))
     assert len(first[0]) != len(second[0])
     for step, expected in ((bpy.ops.ed.undo, first), (bpy.ops.ed.redo, second), (bpy.ops.ed.undo, first)):
         assert step() == {"FINISHED"}
         lidar = bpy.context.scene.objects[name]
         np.testing.assert_array_equal(vertices(cloud_of(lidar)), expected[0])
         assert coordinates_of(lidar) == expected[1]
-        assert fields(lidar.lidar) == expected[2]
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+        assert fields(lidar.blender_lidar) == expected[2]
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     np.testing.assert_array_equal(vertices(cloud_of(bpy.context.scene.objects[name])), first[0])
 
 
 def check_saving_and_opening_again_keeps_all_and_reads_traffic_by_need():
     scene, lidar = loaded(sensor={"dropout": 0.1, "range_noise_m": 0.02})
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
-    cloud, kept, all_of = vertices(cloud_of(lidar)).copy(), fields(lidar.lidar), fields(scene.blender_lidar)
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    cloud, kept, all_of = vertices(cloud_of(lidar)).copy(), fields(lidar.blender_lidar), fields(scene.blender_lidar)
     path = FOLDER / "saved.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     new_file()
@@ -142,24 +142,24 @@ def check_saving_and_opening_again_keeps_all_and_reads_traffic_by_need():
     scene = bpy.context.scene
     (lidar,) = lidars(scene)
     assert session._RECORDINGS == {}, "traffic is read when it is asked for"
-    assert fields(lidar.lidar) == kept
+    assert fields(lidar.blender_lidar) == kept
     assert fields(scene.blender_lidar) == all_of
     np.testing.assert_array_equal(vertices(cloud_of(lidar)), cloud)
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     np.testing.assert_array_equal(vertices(cloud_of(lidar)), cloud)
     bpy.ops.wm.open_mainfile(filepath=str(path))
     (FOLDER / "scene" / "traffic.csv").rename(FOLDER / "away.csv")
     try:
-        assert "traffic.csv" in refused(bpy.ops.lidar.scan)
+        assert "traffic.csv" in refused(bpy.ops.blender_lidar.scan)
     finally:
         (FOLDER / "away.csv").rename(FOLDER / "scene" / "traffic.csv")
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
 
 
 def check_a_lidar_appended_into_another_file_keeps_its_settings():
     scene, lidar = loaded(sensor={"dropout": 0.1})
-    lidar.lidar.name_ = "VLP-16"
-    kept, place = fields(lidar.lidar), coordinates_of(lidar)
+    lidar.blender_lidar.name_ = "VLP-16"
+    kept, place = fields(lidar.blender_lidar), coordinates_of(lidar)
     path = FOLDER / "source.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     scene, own = loaded()
@@ -167,11 +167,11 @@ def check_a_lidar_appended_into_another_file_keeps_its_settings():
     handlers.adopt_all()
     other = next(item for item in lidars(scene) if item != own)
     bpy.context.view_layer.update()
-    assert fields(other.lidar) == kept
+    assert fields(other.blender_lidar) == kept
     assert coordinates_of(other) == place
-    assert own.lidar.name_ == "RS-16"
+    assert own.blender_lidar.name_ == "RS-16"
     choose(other)
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert cloud_of(other) is not None
     assert cloud_of(own) is None
 
@@ -183,20 +183,20 @@ def lidar_name(path):
 
 def check_two_scenes_of_a_file_do_not_mix():
     scene, lidar = loaded()
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     before = (vertices(cloud_of(lidar)).copy(), fields(scene.blender_lidar), len(scene.objects))
     other = bpy.data.scenes.new("Other")
     bpy.context.window.scene = other
-    assert not bpy.ops.lidar.scan.poll()
+    assert not bpy.ops.blender_lidar.scan.poll()
     assert session.active_lidar(other) is None
     other.blender_lidar.traffic.path = str(example())
-    assert bpy.ops.lidar.load() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
     (second,) = lidars(other)
     assert second not in lidars(scene)
     assert second != lidar
-    second.lidar.x_m, other.blender_lidar.frame = 8.0, FRAME + 5
+    second.blender_lidar.x_m, other.blender_lidar.frame = 8.0, FRAME + 5
     choose(second)
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert other.blender_lidar.frame == FRAME + 5
     assert (fields(scene.blender_lidar), len(scene.objects)) == before[1:]
     np.testing.assert_array_equal(vertices(cloud_of(lidar)), before[0])
@@ -215,7 +215,7 @@ def check_the_users_camera_layer_file_and_nesting_stay():
     layer = scene.view_layers.new("Second")
     bpy.context.window.view_layer = layer
     scene.blender_lidar.traffic.path = str(example())
-    assert bpy.ops.lidar.load() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
     site = bpy.data.collections.new("Site")
     scene.collection.children.link(site)
     ours = [one for one in scene.collection.children if one != site]
@@ -224,10 +224,10 @@ def check_the_users_camera_layer_file_and_nesting_stay():
         site.children.link(one)
     collections = len(bpy.data.collections)
     scene.blender_lidar.frame = FRAME
-    assert bpy.ops.lidar.load() == {"FINISHED"}
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
-    assert bpy.ops.lidar.add() == {"FINISHED"}
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.add() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert len(bpy.data.collections) == collections
     assert list(scene.collection.children) == [site]
     assert scene.camera == camera
@@ -243,7 +243,7 @@ def check_what_build_writes_is_taken_over():
     scene = bpy.context.scene
     (lidar,) = lidars(scene)
     written = load_scenario(path).as_tables()
-    assert lidar.lidar.schema == properties.SCHEMA
+    assert lidar.blender_lidar.schema == properties.SCHEMA
     assert session.scenario_from(scene, lidar).as_tables()["sensor"] == written["sensor"]
     assert session.scenario_from(scene, lidar).as_tables()["road"] == written["road"]
     assert scene.blender_lidar.loaded
@@ -252,20 +252,20 @@ def check_what_build_writes_is_taken_over():
     assert {key: found[key] for key in POSE} == POSE
     built = evaluated(cloud_of(lidar))
     choose(lidar)
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     np.testing.assert_allclose(evaluated(cloud_of(lidar)), built, atol=2e-5)
     assert len([child for child in lidar.children if role(child) == CLOUD]) == 1
-    lidar.lidar.x_m = 6.0
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
-    assert len(vertices(cloud_of(lidar))) == lidar.lidar.points != len(built)
+    lidar.blender_lidar.x_m = 6.0
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    assert len(vertices(cloud_of(lidar))) == lidar.blender_lidar.points != len(built)
     vehicles = [item for item in scene.objects if role(item) == VEHICLE]
-    assert bpy.ops.lidar.step_frame() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.step_frame() == {"FINISHED"}
     assert scene.blender_lidar.frame == FRAME + 1
     assert abs(len([item for item in scene.objects if role(item) == VEHICLE]) - len(vehicles)) < 10
     bpy.ops.wm.save_mainfile()
     bpy.ops.wm.open_mainfile(filepath=str(out))
     (lidar,) = lidars(bpy.context.scene)
-    assert lidar.lidar.x_m == 6.0
+    assert lidar.blender_lidar.x_m == 6.0
     assert bpy.context.scene.blender_lidar.frame == FRAME + 1
     scene = new_file()
     scene["blender_lidar_sensor"] = "no JSON"

@@ -28,11 +28,11 @@ from tests.small_scene import mounting
 def check_fifteen_degrees_of_tilt_show_as_fifteen_and_look_down_across_the_road():
     lidar = loaded()[1]
     hang(lidar, Pose(0.0, 0.0, 4.0))
-    lidar.lidar.tilt_x_deg = math.radians(15.0)
+    lidar.blender_lidar.tilt_x_deg = math.radians(15.0)
     bpy.context.view_layer.update()
     assert coordinates_of(lidar)["tilt_x_deg"] == 15.0
-    assert abs(lidar.lidar.tilt_x_deg - math.radians(15.0)) < 1e-6
-    assert abs(lidar.lidar.lean_deg - math.radians(15.0)) < 1e-6
+    assert abs(lidar.blender_lidar.tilt_x_deg - math.radians(15.0)) < 1e-6
+    assert abs(lidar.blender_lidar.lean_deg - math.radians(15.0)) < 1e-6
     ahead = axes(lidar)[1]
     assert ahead[1] > 0.9, ahead
     assert abs(ahead[2] + math.sin(math.radians(15.0))) < 1e-6, ahead
@@ -46,14 +46,14 @@ def check_panel_and_transform_agree_with_poses():
         place = dict(zip(COORDINATES, values, strict=True))
         hang(lidar, Pose(0.0, 0.0, 4.0))
         for key, value in place.items():
-            setattr(lidar.lidar, key, math.radians(value) if key.endswith("_deg") else value)
+            setattr(lidar.blender_lidar, key, math.radians(value) if key.endswith("_deg") else value)
         bpy.context.view_layer.update()
         found, expected = pose_of(lidar), mounting(place).pose
         np.testing.assert_allclose(axes(lidar), expected.to_world(np.eye(3)), atol=2e-5, err_msg=str(place))
         np.testing.assert_allclose(found.to_world(np.eye(3)), expected.to_world(np.eye(3)), atol=2e-5)
         np.testing.assert_allclose(found.position, expected.position, atol=1e-4)
         for key, value in place.items():
-            shown = getattr(lidar.lidar, key)
+            shown = getattr(lidar.blender_lidar, key)
             shown = math.degrees(shown) if key.endswith("_deg") else shown
             assert abs(shown - value) < 2e-3, (key, value, shown, place)
 
@@ -64,7 +64,7 @@ def check_a_lean_is_what_poses_call_so():
     for _ in range(30):
         lean, direction, spin = (round(value, 2) for value in rng.uniform((1, -170, -170), (80, 170, 170)))
         hang(lidar, Pose(1.0, 2.0, 4.0))
-        group = lidar.lidar
+        group = lidar.blender_lidar
         group.lean_deg = math.radians(lean)
         group.lean_direction_deg = math.radians(direction)
         group.spin_deg = math.radians(spin)
@@ -102,7 +102,7 @@ def check_a_parented_lidar_hangs_where_its_parent_takes_it():
     bpy.context.view_layer.update()
     moved = coordinates_of(lidar)
     assert abs(moved["x_m"] - before["x_m"] - 2.5) < 1e-3, (before, moved)
-    lidar.lidar.tilt_x_deg = math.radians(15.0)
+    lidar.blender_lidar.tilt_x_deg = math.radians(15.0)
     bpy.context.view_layer.update()
     assert abs(coordinates_of(lidar)["tilt_x_deg"] - 15.0) < 1e-3
     assert abs(coordinates_of(lidar)["x_m"] - moved["x_m"]) < 1e-3
@@ -120,12 +120,12 @@ def check_any_way_to_turn_a_lidar_is_read_and_set():
             lidar.rotation_quaternion = (0.9, 0.3, 0.2, 0.1)
         bpy.context.view_layer.update()
         np.testing.assert_allclose(pose_of(lidar).to_world(np.eye(3)), axes(lidar), atol=1e-5, err_msg=mode)
-        lidar.lidar.tilt_x_deg = math.radians(15.0)
+        lidar.blender_lidar.tilt_x_deg = math.radians(15.0)
         assert coordinates_of(lidar)["tilt_x_deg"] == 15.0, mode
     lidar.constraints.new("COPY_LOCATION").target = target
     bpy.context.view_layer.update()
     np.testing.assert_allclose(pose_of(lidar).position, target.location, atol=1e-4)
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     np.testing.assert_allclose(evaluated(cloud_of(lidar)), vertices(cloud_of(lidar)), atol=1e-4)
 
 
@@ -133,10 +133,10 @@ def check_paths_may_be_relative_to_the_file():
     scene, lidar = loaded()
     bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "relative.blend"))
     scene.blender_lidar.traffic.path = "//scene/traffic.csv"
-    assert bpy.ops.lidar.load() == {"FINISHED"}
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
-    lidar.lidar.table_path = "//none.toml"
-    lidar.lidar.name_ = "own"
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    lidar.blender_lidar.table_path = "//none.toml"
+    lidar.blender_lidar.name_ = "own"
     assert f"{FOLDER / 'none.toml'}: there is no such file" in scene.blender_lidar.problem
 
 
@@ -157,10 +157,10 @@ def check_the_pole_is_upright_and_ends_on_the_road_at_any_tilt():
 
 def check_head_fan_and_cloud_follow():
     lidar = loaded()[1]
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     cloud = cloud_of(lidar)
     before, pose = evaluated(cloud), pose_of(lidar)
-    lidar.lidar.x_m, lidar.lidar.yaw_deg = 10.0, math.radians(90.0)
+    lidar.blender_lidar.x_m, lidar.blender_lidar.yaw_deg = 10.0, math.radians(90.0)
     after = pose_of(lidar)
     in_sensor = (before - pose.position) @ pose.to_world(np.eye(3)).T
     np.testing.assert_allclose(evaluated(cloud), after.to_world(in_sensor) + after.position, atol=1e-3)
@@ -181,14 +181,14 @@ def check_a_lidar_keeps_its_coordinates_when_the_slope_of_its_road_changes():
     assert np.abs(pose_of(lidar).rotation - scenario.mounting(POSE).pose.rotation).max() < 1e-6
     assert np.abs(pose_of(lidar).rotation - mounting(POSE).pose.rotation).max() > 0.02
     scene.cursor.location = (3.0, -1.0, 4.0)
-    assert bpy.ops.lidar.add() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.add() == {"FINISHED"}
     added = next(item for item in lidars(scene) if item != lidar)
     upright = dict.fromkeys(POSE, 0.0) | {"x_m": 3.0, "y_m": -1.0, "height_m": 4.0}
     assert coordinates_of(added) == upright
     road.grade_percent, road.cross_fall_percent = 0.0, 0.0
     assert (coordinates_of(lidar), coordinates_of(added)) == (POSE, upright)
     assert np.abs(pose_of(lidar).rotation - mounting(POSE).pose.rotation).max() < 1e-6
-    lidar.lidar.y_m, road.crown_percent = 5.0, 4.0  # over the lanes
+    lidar.blender_lidar.y_m, road.crown_percent = 5.0, 4.0  # over the lanes
     assert coordinates_of(lidar) == POSE | {"y_m": 5.0}
     above = properties.road_of(scene).surface.height(np.array([POSE["x_m"], 5.0]))
     assert abs(pose_of(lidar).height_m - POSE["height_m"] - above) < 1e-5
@@ -197,10 +197,10 @@ def check_a_lidar_keeps_its_coordinates_when_the_slope_of_its_road_changes():
 
 def check_tilts_and_yaw_are_seen_from_where_the_mast_faces():
     lidar = loaded()[1]
-    kept = properties.kept_of(lidar.lidar)
+    kept = properties.kept_of(lidar.blender_lidar)
     deployment = kept.tables["deployment"] | {"facing_deg": 180.0}
-    properties.keep_tables(lidar.lidar, kept.tables | {"deployment": deployment}, kept.folder, kept.fields)
-    lidar.lidar.tilt_y_deg, lidar.lidar.yaw_deg = 0.0, 0.0
+    properties.keep_tables(lidar.blender_lidar, kept.tables | {"deployment": deployment}, kept.folder, kept.fields)
+    lidar.blender_lidar.tilt_y_deg, lidar.blender_lidar.yaw_deg = 0.0, 0.0
     assert coordinates_of(lidar) == POSE | {"tilt_y_deg": 0.0, "yaw_deg": 0.0}
     bpy.context.view_layer.update()
     tilt = math.radians(POSE["tilt_x_deg"])

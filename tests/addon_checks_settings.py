@@ -43,7 +43,7 @@ from tests.small_scene import mounting, without_times
 def check_a_scan_and_a_score_are_those_of_the_command_line():
     scene, lidar = loaded(sensor={"range_noise_m": 0.02, "dropout": 0.1, "noise_seed": 3})
     path = FOLDER / "scene" / "scene.toml"
-    assert bpy.ops.lidar.export_cloud(filepath=str(FOLDER / "panel.npz")) == {"FINISHED"}
+    assert bpy.ops.blender_lidar.export_cloud(filepath=str(FOLDER / "panel.npz")) == {"FINISHED"}
     words = ["scan", str(path), "--frame", str(FRAME), "--out", str(FOLDER / "line.npz"), *OPTIONS]
     assert command_line(words) == 0
     with np.load(FOLDER / "panel.npz") as panel, np.load(FOLDER / "line.npz") as line:
@@ -55,7 +55,7 @@ def check_a_scan_and_a_score_are_those_of_the_command_line():
         points = line["xyz"]
         differ = {key for key in one if one[key] != other[key]}
         assert differ <= {"scene"}, (differ, one, other)
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     np.testing.assert_allclose(evaluated(cloud_of(lidar)), points, atol=2e-5)
 
     scenario = session.scenario_from(scene, lidar)
@@ -63,7 +63,7 @@ def check_a_scan_and_a_score_are_those_of_the_command_line():
     assert [frame.vehicles.frame for frame in site.search] == [FRAME]
     with Evaluator(site.search, site.observation, site.scoring) as evaluator:
         totals = evaluator.totals([(mounting(POSE),), (scenario.baseline,)])
-    group, vehicles = lidar.lidar, int(totals.vehicles[0])
+    group, vehicles = lidar.blender_lidar, int(totals.vehicles[0])
     assert vehicles > 0
     assert group.vehicles == vehicles
     objectives, shares = totals.objective[:, 0], totals.detectable[:, 0] / vehicles
@@ -85,7 +85,7 @@ def prepared(scenario, hangs):
 def check_an_exported_run_is_that_of_evaluate():
     loaded()
     out, line = FOLDER / "run", FOLDER / "line"
-    assert bpy.ops.lidar.export_run(directory=str(out)) == {"FINISHED"}
+    assert bpy.ops.blender_lidar.export_run(directory=str(out)) == {"FINISHED"}
     words = ["evaluate", str(FOLDER / "scene" / "scene.toml"), "--out", str(line), *OPTIONS]
     assert command_line(words) == 0
     assert {path.name for path in out.iterdir()} <= {path.name for path in line.iterdir()}
@@ -97,15 +97,15 @@ def check_an_exported_run_is_that_of_evaluate():
     for key in other:
         assert one[key] == other[key], (key, one[key], other[key])
     assert (out / "vehicles.csv").read_text() == (line / "vehicles.csv").read_text()
-    assert "run" in refused(bpy.ops.lidar.export_run, directory=str(out))
+    assert "run" in refused(bpy.ops.blender_lidar.export_run, directory=str(out))
 
 
 def check_an_optimisation_is_that_of_the_command_line():
     scene = new_file()
     scene.blender_lidar.traffic.path = str(example())
-    assert bpy.ops.lidar.load() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
     (lidar,) = lidars(scene)
-    assert bpy.ops.lidar.optimise() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.optimize() == {"FINISHED"}
     line = FOLDER / "line"
     assert command_line(["optimise", str(FOLDER / "scene" / "scene.toml"), "--out", str(line)]) == 0
     folders = Path(optimising.found_of(lidar)["folder"]), line
@@ -114,9 +114,9 @@ def check_an_optimisation_is_that_of_the_command_line():
         assert one.pop(name) != other.pop(name)  # what it is called
     assert_alike(one, other)
     before = coordinates_of(lidar)
-    assert bpy.ops.lidar.apply() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.apply() == {"FINISHED"}
     assert coordinates_of(lidar)["height_m"] == round(other["deployment"]["height_m"], 4)
-    assert bpy.ops.lidar.revert() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.revert() == {"FINISHED"}
     assert coordinates_of(lidar) == before
     shutil.rmtree(folders[0])
 
@@ -152,7 +152,7 @@ def check_every_field_of_the_panel_comes_back_as_it_was_typed():
     session.fill_scene(scene, tables, "", first)
     lidar = operators.add_lidar(scene, mounting(POSE).pose)
     session.fill_lidar(lidar, tables, "", first)
-    for group in (scene.blender_lidar, lidar.lidar):  # nothing is kept of the file, so that the fields say all
+    for group in (scene.blender_lidar, lidar.blender_lidar):  # nothing is kept of the file, so that the fields say all
         assert group.kept
         group.kept = ""
     fields = session.fields_of(scene) | {"sensor": session.sensor_table(lidar)}
@@ -169,7 +169,7 @@ def check_every_property_is_as_its_setting_is_declared():
     scene, lidar = loaded()
     groups = {name: (getattr(scene.blender_lidar, name), keys) for name, keys in properties.TABLES.items()}
     hung = {key: declared for key, declared in MOUNTING_OR_LEAN.items() if key != "facing_deg"}  # the file's stays
-    groups |= {"sensor": (lidar.lidar, properties.SENSOR), "deployment": (lidar.lidar, hung)}
+    groups |= {"sensor": (lidar.blender_lidar, properties.SENSOR), "deployment": (lidar.blender_lidar, hung)}
     groups |= {"baseline": (scene.blender_lidar.baseline, properties.SIX)}
     units = {"m": "LENGTH", "deg": "ROTATION", "s": "TIME"}
     for name, (group, keys) in groups.items():
@@ -198,36 +198,36 @@ def check_every_property_is_as_its_setting_is_declared():
 def check_wrong_input_is_one_line_and_changes_nothing():
     scene = new_file()
     scene.blender_lidar.traffic.path = "/nowhere/traffic.csv"
-    assert "/nowhere/traffic.csv" in refused(bpy.ops.lidar.load)
+    assert "/nowhere/traffic.csv" in refused(bpy.ops.blender_lidar.load)
     scene.blender_lidar.traffic.path = "/nowhere/scene.toml"
-    assert "/nowhere/scene.toml" in refused(bpy.ops.lidar.load)
+    assert "/nowhere/scene.toml" in refused(bpy.ops.blender_lidar.load)
     scene.blender_lidar.traffic.path = ""
-    refused(bpy.ops.lidar.load)
-    assert not bpy.ops.lidar.scan.poll()
+    refused(bpy.ops.blender_lidar.load)
+    assert not bpy.ops.blender_lidar.scan.poll()
     scene = new_file()
     scene.unit_settings.scale_length = 0.01
     scene.blender_lidar.traffic.path = str(example())
-    assert "unit scale 0.01" in refused(bpy.ops.lidar.load)
-    assert "unit scale 0.01" in refused(bpy.ops.lidar.load_example)
-    assert "unit scale 0.01" in refused(bpy.ops.lidar.add)
+    assert "unit scale 0.01" in refused(bpy.ops.blender_lidar.load)
+    assert "unit scale 0.01" in refused(bpy.ops.blender_lidar.load_example)
+    assert "unit scale 0.01" in refused(bpy.ops.blender_lidar.add)
     scene, lidar = loaded()
     choose(lidar)
     (held,) = (one for one in bpy.context.view_layer.layer_collection.children if lidar in list(one.collection.objects))
     held.exclude = True
-    assert "excluded" in refused(bpy.ops.lidar.add)
+    assert "excluded" in refused(bpy.ops.blender_lidar.add)
     held.exclude = False
     choose(lidar)
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     operations = {
-        bpy.ops.lidar.scan: {},
-        bpy.ops.lidar.export_cloud: {"filepath": str(FOLDER / "refused.npz")},
-        bpy.ops.lidar.export_labelled: {"directory": str(FOLDER / "refused")},
-        bpy.ops.lidar.export_run: {"directory": str(FOLDER / "refused")},
+        bpy.ops.blender_lidar.scan: {},
+        bpy.ops.blender_lidar.export_cloud: {"filepath": str(FOLDER / "refused.npz")},
+        bpy.ops.blender_lidar.export_labelled: {"directory": str(FOLDER / "refused")},
+        bpy.ops.blender_lidar.export_run: {"directory": str(FOLDER / "refused")},
     }
-    lidar.lidar.y_m = 5.0  # in a lane
+    lidar.blender_lidar.y_m = 5.0  # in a lane
     for operation, given in operations.items():
         assert "LiDAR" in refused(operation, **given)
-    lidar.lidar.y_m = 0.0
+    lidar.blender_lidar.y_m = 0.0
     lidar.scale.x = -1.0
     bpy.context.view_layer.update()
     for operation, given in operations.items():
@@ -236,16 +236,16 @@ def check_wrong_input_is_one_line_and_changes_nothing():
     bpy.context.view_layer.update()
     table = FOLDER / "beams.toml"
     table.write_text("rings = 3\n", encoding="utf-8")
-    lidar.lidar.table_path = str(table)
-    lidar.lidar.name_ = "own"
+    lidar.blender_lidar.table_path = str(table)
+    lidar.blender_lidar.name_ = "own"
     assert scene.blender_lidar.problem
     assert "\n" not in scene.blender_lidar.problem
     for operation, given in operations.items():
         assert "beams.toml" in refused(operation, **given)
-    lidar.lidar.table_path = str(FOLDER / "no_beams.toml")
+    lidar.blender_lidar.table_path = str(FOLDER / "no_beams.toml")
     for operation, given in operations.items():
         assert "no_beams.toml" in refused(operation, **given)
-    lidar.lidar.name_ = "RS-16"
+    lidar.blender_lidar.name_ = "RS-16"
     assert not scene.blender_lidar.problem
     with properties.silently():
         scene.blender_lidar.frame = 99999
@@ -253,10 +253,10 @@ def check_wrong_input_is_one_line_and_changes_nothing():
         assert "99999" in refused(operation, **given)
     scene.blender_lidar.frame = 99999  # typed: the nearest there is
     assert scene.blender_lidar.frame == 59
-    assert "Nobody" in refused(bpy.ops.lidar.choose, name="Nobody")
+    assert "Nobody" in refused(bpy.ops.blender_lidar.select, name="Nobody")
     assert not list(FOLDER.glob("refused*"))
     bpy.data.batch_remove([*lidar.children, lidar])
-    assert not bpy.ops.lidar.scan.poll()
+    assert not bpy.ops.blender_lidar.scan.poll()
 
 
 # --- Registering ------------------------------------------------------------------------------------------------------
@@ -285,7 +285,7 @@ def check_registering_twice_leaves_nothing():
         blender_lidar.register()
         assert registered() != before
         loaded()
-        assert bpy.ops.lidar.scan() == {"FINISHED"}
+        assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
         blender_lidar.unregister()
         after = registered()
         for one, other in zip(before, after, strict=True):

@@ -37,7 +37,7 @@ def loaded(**changes):
     """A new file with that scene loaded, and its LiDAR at `POSE`."""
     scene = new_file()
     scene.blender_lidar.traffic.path = str(example(**changes))
-    assert bpy.ops.lidar.load() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
     scene.blender_lidar.frame = FRAME
     (lidar,) = lidars(scene)
     choose(lidar)
@@ -94,7 +94,7 @@ def of_state():
         "meshes": sorted((mesh.name, len(mesh.vertices)) for mesh in bpy.data.meshes),
         "collections": sorted(one.name for one in bpy.data.collections),
         "scene": fields(scene.blender_lidar),
-        "lidars": [fields(lidar.lidar) for lidar in lidars(scene)],
+        "lidars": [fields(lidar.blender_lidar) for lidar in lidars(scene)],
         "active": bpy.context.view_layer.objects.active and bpy.context.view_layer.objects.active.name,
     }
 

@@ -63,22 +63,22 @@ def remove() -> None:
 
 def scanned() -> dict[str, object]:
     """What the example's LiDAR sees after an installation."""
-    lidar_ops, scene = bpy.ops.lidar, bpy.context.scene
+    lidar_ops, scene = bpy.ops.blender_lidar, bpy.context.scene
     assert not lidar_ops.scan.poll(), "scan needs traffic"
     assert lidar_ops.load_example() == {"FINISHED"}
     lidar = scene.objects["LiDAR"]
-    lidar.lidar.height_m, lidar.lidar.tilt_x_deg = 4.0, 0.35
+    lidar.blender_lidar.height_m, lidar.blender_lidar.tilt_x_deg = 4.0, 0.35
     assert lidar_ops.scan() == {"FINISHED"}
     return {
-        "points": lidar.lidar.points,
-        "objective": round(lidar.lidar.objective, 3),
+        "points": lidar.blender_lidar.points,
+        "objective": round(lidar.blender_lidar.objective, 3),
         "frame": scene.blender_lidar.frame,
     }
 
 
 def used() -> dict[str, object]:
     """Every other button once; what came of it."""
-    lidar_ops, scene = bpy.ops.lidar, bpy.context.scene
+    lidar_ops, scene = bpy.ops.blender_lidar, bpy.context.scene
     lidar, found = scene.objects["LiDAR"], {}
     assert lidar_ops.step_frame() == {"FINISHED"}
     assert lidar_ops.set_baseline() == {"FINISHED"}
@@ -96,13 +96,13 @@ def used() -> dict[str, object]:
         search.particles, search.iterations = 4, 2
         assert lidar_ops.optimise() == {"FINISHED"}
         assert lidar_ops.apply() == {"FINISHED"}
-        found["gain"] = round(json.loads(lidar.lidar.found)["holdout"]["gain_over_baseline"], 3)
+        found["gain"] = round(json.loads(lidar.blender_lidar.found)["holdout"]["gain_over_baseline"], 3)
         assert lidar_ops.revert() == {"FINISHED"}
         path = Path(folder) / "saved.blend"
         bpy.ops.wm.save_as_mainfile(filepath=str(path))
         bpy.ops.wm.open_mainfile(filepath=str(path))
-        assert round(bpy.data.objects["LiDAR"].lidar.height_m, 3) == 4.0
-        assert bpy.ops.lidar.scan() == {"FINISHED"}
+        assert round(bpy.data.objects["LiDAR"].blender_lidar.height_m, 3) == 4.0
+        assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     return found
 
 

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("registered_addon")
 def loaded(path: Path):
     """A scene file loaded in the open file; the LiDAR that hangs there then."""
     bpy.context.scene.blender_lidar.traffic.path = str(path)
-    assert bpy.ops.lidar.load() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
     return lidars(bpy.context.scene)[0]
 
 
@@ -91,7 +91,7 @@ def test_optimise_and_scan_are_those_of_the_command_line(made, tmp_path):
     lidar = loaded(path)
     table = properties.mounting_of(lidar).as_table()
     place = {key: table[key] for key in COORDINATES}
-    assert bpy.ops.lidar.export_cloud(filepath=str(tmp_path / "panel.npz")) == {"FINISHED"}
+    assert bpy.ops.blender_lidar.export_cloud(filepath=str(tmp_path / "panel.npz")) == {"FINISHED"}
     frame = bpy.context.scene.blender_lidar.frame
     options = [f"--{key.rpartition('_')[0].replace('_', '-')}={value}" for key, value in place.items()]
     words = ["scan", str(path), "--frame", str(frame), "--out", str(tmp_path / "line.npz"), *options]
@@ -100,7 +100,7 @@ def test_optimise_and_scan_are_those_of_the_command_line(made, tmp_path):
         for name in set(line) - {"header"}:
             np.testing.assert_array_equal(panel[name], line[name], err_msg=name)
     lidar = saved_and_opened(tmp_path)
-    assert bpy.ops.lidar.optimise() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.optimize() == {"FINISHED"}
     assert command_line(["optimise", str(path), "--out", str(tmp_path / "line")]) == 0
     assert result_of(bpy.path.abspath(optimising.found_of(lidar)["folder"])) == result_of(tmp_path / "line")
 
@@ -119,20 +119,20 @@ def test_what_is_loaded_survives_saving_and_undo_and_is_scored_live(made, tmp_pa
     assert scenario().as_tables() == expected
     lidar = saved_and_opened(tmp_path)
     assert scenario().as_tables() == expected
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
-    scanned = lidar.lidar.objective, lidar.lidar.points
-    lidar.lidar.live = True
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    scanned = lidar.blender_lidar.objective, lidar.blender_lidar.points
+    lidar.blender_lidar.live = True
     bpy.context.view_layer.update()
     live.update()
     assert bpy.context.scene.blender_lidar.problem == ""
-    assert (lidar.lidar.objective, lidar.lidar.points) == scanned
+    assert (lidar.blender_lidar.objective, lidar.blender_lidar.points) == scanned
 
 
 def test_a_field_that_is_changed_replaces_the_files_setting_and_nothing_else(tmp_path):
     path = SCENES["utm_polygon"](tmp_path)
     lidar, group, expected = loaded(path), bpy.context.scene.blender_lidar, load_scenario(path).as_tables()
     group.traffic.frames, group.traffic.origin_m = 7, "565432.5, 5812345.625"
-    lidar.lidar.y_m, lidar.lidar.height_m_high = -0.5, 5.0
+    lidar.blender_lidar.y_m, lidar.blender_lidar.height_m_high = -0.5, 5.0
     found = scenario().as_tables()
     assert found["traffic"] == expected["traffic"] | {"frames": 7, "origin_m": (565432.5, 5812345.625)}
     assert found["deployment"] == expected["deployment"] | {"y_m": -0.5, "height_m": (2.0, 5.0)}
@@ -148,16 +148,16 @@ def test_a_file_that_says_little_leaves_the_rest_to_the_defaults(tmp_path):
     path.write_text("\n[".join(kept), encoding="utf-8")
     loaded(path)
     assert scenario().as_tables() == load_scenario(path).as_tables()
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
 
 
 def test_another_place_model_or_metric_leaves_open_what_the_file_left_open(tmp_path):
     path = write_scene(tmp_path, REGION | {"sensor": {"range_gate_m": None, "range_noise_m": "datasheet"}})
     lidar, scene = loaded(path), bpy.context.scene
     before = scenario()
-    lidar.lidar.name_, scene.blender_lidar.metric = "VLP-16", "points"
+    lidar.blender_lidar.name_, scene.blender_lidar.metric = "VLP-16", "points"
     for key in ("height_m", "tilt_x_deg", "tilt_y_deg", "x_m"):
-        setattr(lidar.lidar, f"{key}_on", True)
+        setattr(lidar.blender_lidar, f"{key}_on", True)
     given = {("sensor", "name"): ("VLP-16", "--sensor"), ("objective", "metric"): ("points", "--metric")}
     line = load_scenario(path, given)
     assert scenario().sensor.range_noise_m == line.sensor.range_noise_m != before.sensor.range_noise_m
@@ -170,7 +170,7 @@ def test_what_several_recordings_cannot_share_is_refused_by_name(tmp_path):
     group = bpy.context.scene.blender_lidar
     group.traffic.path = str(tmp_path / "evening.csv")
     with pytest.raises(RuntimeError, match="LiDAR panel: Traffic, File: is of one recording, but the scene has 2"):
-        bpy.ops.lidar.load()
+        bpy.ops.blender_lidar.load()
 
 
 def test_a_setting_without_a_field_is_shown_and_an_error_in_it_names_the_file(tmp_path):
@@ -178,7 +178,7 @@ def test_a_setting_without_a_field_is_shown_and_an_error_in_it_names_the_file(tm
     lidar, scene = loaded(path), bpy.context.scene
     assert "[objective] classes, class_weights, zones, tolerance, loss, view" in session.without_field(scene, lidar)
     (tmp_path / "poles.csv").write_text("name,x_m,y_m\na,0,0\n", encoding="utf-8")
-    lidar.lidar.poles = str(tmp_path / "poles.csv")
+    lidar.blender_lidar.poles = str(tmp_path / "poles.csv")
     with pytest.raises(properties.InputError, match=r"scene.toml: \[objective\] tolerance: is given beside"):
         scenario()
 
@@ -194,13 +194,13 @@ def test_keys_of_a_road_that_has_no_fields_are_kept_and_shown(tmp_path):
 
 def test_the_crown_is_there_wherever_a_live_lidar_is_dragged(tmp_path):
     lidar = loaded(SCENES["slope_and_crown"](tmp_path))
-    lidar.lidar.live = True
+    lidar.blender_lidar.live = True
     for x_m in (0.0, 50.0, 130.0, 131.0):
-        lidar.lidar.x_m = x_m
+        lidar.blender_lidar.x_m = x_m
         bpy.context.view_layer.update()
         live.update()
         xyz = live._state.shown[session.uid_of(lidar)].look.cloud.xyz
-        assert bpy.ops.lidar.export_cloud(filepath=str(tmp_path / "cloud.npz")) == {"FINISHED"}
+        assert bpy.ops.blender_lidar.export_cloud(filepath=str(tmp_path / "cloud.npz")) == {"FINISHED"}
         with np.load(tmp_path / "cloud.npz") as line:
             np.testing.assert_allclose(xyz, line["xyz"], rtol=0.0, atol=1e-9, err_msg=str(x_m))
             assert ((line["vehicle_id"] < 0) & (line["xyz"][:, 2] > 0.01)).sum() > 50, x_m
@@ -210,13 +210,13 @@ def test_a_run_stays_beside_a_saved_file_and_its_report_opens(tmp_path, monkeypa
     path = SCENES["circle"](tmp_path)
     loaded(path)
     lidar = saved_and_opened(tmp_path)
-    assert bpy.ops.lidar.optimise() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.optimize() == {"FINISHED"}
     assert optimising.found_of(lidar)["folder"] == "//saved_runs/LiDAR_1"
     assert (tmp_path / "saved_runs" / "LiDAR_1" / "report.html").is_file()
     opened = []
     monkeypatch.setattr("bpy.ops.wm.url_open", lambda url: opened.append(url), raising=False)
     saved_and_opened(tmp_path)
-    assert bpy.ops.lidar.open_report() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.open_report() == {"FINISHED"}
 
 
 def test_how_long_it_takes_is_said_from_the_searchs_own_rate(tmp_path, monkeypatch):

@@ -35,7 +35,7 @@ def lidar(tmp_path, quick):
     try:
         scene = bpy.context.scene
         scene.blender_lidar.traffic.path = str(write_scene(tmp_path, REGION | {"model": {"caster": "exact"}}))
-        assert bpy.ops.lidar.load() == {"FINISHED"}
+        assert bpy.ops.blender_lidar.load() == {"FINISHED"}
         scene.blender_lidar.frame = 20
         found = lidars(scene)[0]
         hang(found, mounting(POSE).pose)
@@ -54,22 +54,22 @@ def carried_away():
 
 
 def scored(lidar):
-    group = lidar.lidar
+    group = lidar.blender_lidar
     return [group.points, group.vehicles, group.objective, group.detectable_share, group.baseline_objective]
 
 
 def seen(lidar):
     """What Scan and Live find: scores, and points in the road frame."""
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     found, mesh = scored(lidar), cloud_of(lidar).data
     xyz = np.array([vertex.co for vertex in mesh.vertices])
-    lidar.lidar.live = True
+    lidar.blender_lidar.live = True
     bpy.context.view_layer.update()
     live.update()
     shown = live._state.shown[session.uid_of(lidar)].look.cloud.xyz
     assert scored(lidar) == found
     np.testing.assert_allclose(shown, xyz, atol=1e-5)
-    lidar.lidar.live = False
+    lidar.blender_lidar.live = False
     return found, xyz
 
 
@@ -97,19 +97,19 @@ def test_scans_scores_and_the_optimum_are_the_same_wherever_the_road_lies(lidar,
         if place:
             carried_away()
         results.append(seen(lidar))
-        assert bpy.ops.lidar.optimise() == {"FINISHED"}
+        assert bpy.ops.blender_lidar.optimize() == {"FINISHED"}
         folder = Path(optimising.found_of(lidar)["folder"])
         result = without_times(json.loads((folder / "result.json").read_text(encoding="utf-8")))
         results.append(result["deployment"] | {"objective": result["objective"]})
     assert results[0][0] == results[2][0]
     np.testing.assert_array_equal(results[0][1], results[2][1])
     assert results[1] == results[3]
-    assert bpy.ops.lidar.apply() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.apply() == {"FINISHED"}
     assert pose_of(lidar).height_m == pytest.approx(results[1]["height_m"], abs=1e-4)
 
 
 def test_all_that_is_shown_goes_with_it_and_the_pole_ends_on_the_road(lidar):
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     scene = bpy.context.scene
     ours = [item for item in scene.objects if role(item) not in (None, "beam fan") and item.type == "MESH"]
     before = [(item, np.array([vertex.co for vertex in item.data.vertices])) for item in ours]
@@ -151,7 +151,7 @@ def test_a_lidar_hangs_by_its_coordinates_whatever_it_is_parented_to(lidar):
     bpy.context.view_layer.update()
     for parent in (frame, None, gantry):
         lidar.parent = parent
-        lidar.lidar.x_m, lidar.lidar.height_m = 3.0, 5.0
+        lidar.blender_lidar.x_m, lidar.blender_lidar.height_m = 3.0, 5.0
         hang(lidar, mounting(POSE).pose)
         bpy.context.view_layer.update()
         table = properties.mounting_of(lidar).as_table()
@@ -164,7 +164,7 @@ def test_a_lidar_hangs_by_its_coordinates_whatever_it_is_parented_to(lidar):
         assert abs(places[:, 2].min() - PLACE[2]) < 1e-3
         assert abs(places[:, 2].max() - PLACE[2] - POSE["height_m"]) < 1e-3
     scene.cursor.location = moved(np.array([6.0, -1.0, 3.0]))
-    assert bpy.ops.lidar.add() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.add() == {"FINISHED"}
     added = properties.mounting_of(session.active_lidar(scene)).as_table()
     np.testing.assert_allclose([added[key] for key in COORDINATES], [6.0, -1.0, 3.0, 0.0, 0.0, 0.0], atol=1e-3)
 
@@ -175,7 +175,7 @@ def test_a_lidar_hangs_by_its_coordinates_whatever_it_is_parented_to(lidar):
 def test_a_frame_that_is_tilted_scaled_or_mirrored_is_refused_until_it_is_not(lidar, key, value, tmp_path):
     scene, frame = bpy.context.scene, carried_away()
     said = "Road: is tilted, scaled or mirrored; allowed: moved, and turned about z"
-    lidar.lidar.live = True
+    lidar.blender_lidar.live = True
     live.update()
     before = tuple(getattr(frame, key))
     setattr(frame, key, value)
@@ -183,10 +183,10 @@ def test_a_frame_that_is_tilted_scaled_or_mirrored_is_refused_until_it_is_not(li
     live.update()
     assert scene.blender_lidar.problem == said
     for operator, given in (
-        (bpy.ops.lidar.scan, {}),
-        (bpy.ops.lidar.optimise, {}),
-        (bpy.ops.lidar.export_cloud, {"filepath": str(tmp_path / "cloud.npz")}),
-        (bpy.ops.lidar.add, {}),
+        (bpy.ops.blender_lidar.scan, {}),
+        (bpy.ops.blender_lidar.optimize, {}),
+        (bpy.ops.blender_lidar.export_cloud, {"filepath": str(tmp_path / "cloud.npz")}),
+        (bpy.ops.blender_lidar.add, {}),
     ):
         with pytest.raises(RuntimeError, match=said):
             operator(**given)
@@ -194,7 +194,7 @@ def test_a_frame_that_is_tilted_scaled_or_mirrored_is_refused_until_it_is_not(li
     bpy.context.view_layer.update()
     live.update()
     assert scene.blender_lidar.problem == ""
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
 
 
 def test_a_deleted_or_copied_frame_leaves_one_that_carries_all(lidar):

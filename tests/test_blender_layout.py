@@ -44,7 +44,7 @@ pytestmark = pytest.mark.usefixtures("registered_addon")
 def loaded(path: Path) -> dict[str, object]:
     """A scene file loaded in the open file; its LiDARs by name."""
     bpy.context.scene.blender_lidar.traffic.path = str(path)
-    assert bpy.ops.lidar.load() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
     return {lidar.name: lidar for lidar in lidars(bpy.context.scene)}
 
 
@@ -55,7 +55,7 @@ def layout(here=False):
 
 def moved(lidar=None, **place):
     for key, value in place.items():
-        setattr(lidar.lidar, key, value)
+        setattr(lidar.blender_lidar, key, value)
     bpy.context.view_layer.update()
     live.update()
     return told()
@@ -105,7 +105,7 @@ def test_a_scene_with_several_lidars_is_loaded_as_it_is_and_written_as_it_was(tm
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
     assert layout().as_tables() == expected
-    assert bpy.ops.lidar.export_run(directory=str(tmp_path / "run")) == {"FINISHED"}
+    assert bpy.ops.blender_lidar.export_run(directory=str(tmp_path / "run")) == {"FINISHED"}
     written = load_scenario(tmp_path / "run" / "scene.toml").as_tables()
     assert {name: written[name] for name in ("lidar", "lidar 2", "sensor", "region")} == {
         name: expected[name] for name in ("lidar", "lidar 2", "sensor", "region")
@@ -114,27 +114,27 @@ def test_a_scene_with_several_lidars_is_loaded_as_it_is_and_written_as_it_was(tm
 
 def test_scan_gives_the_fused_score_of_the_run_and_that_of_each_alone(tmp_path):
     hung = loaded(write_layout(tmp_path, sensor={"dropout": 0.2}))
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     scenario, scene = layout(), bpy.context.scene
     south, north = (properties.mounting_of(hung[name]) for name in ("south", "north"))
     together, base, *alone = of_the_run(scenario, (south, north), scenario.baselines, (south, None), (None, north))
     assert_worth(told()["now"], together)
     assert_worth(told()["baseline"], base)
     for name, worth in zip(("south", "north"), alone, strict=True):
-        group = hung[name].lidar
+        group = hung[name].blender_lidar
         assert_worth({"objective": group.objective, "share": group.detectable_share}, worth)
     assert together["share"] >= max(one["share"] for one in alone)
     assert cloud_of(hung["south"]) != cloud_of(hung["north"])
     lines = panels.fused_lines(scene, hung["north"])
     assert lines[0] == f"Layout of 2: objective {together['objective']:.2f}"
     assert "Changed since: scan again." not in lines
-    hung["south"].lidar.height_m += 0.5
+    hung["south"].blender_lidar.height_m += 0.5
     assert panels.fused_lines(scene, hung["north"])[-1] == "Changed since: scan again."
 
 
 def test_while_one_is_dragged_the_others_are_not_cast_again_and_the_score_is_that_of_scan(tmp_path, monkeypatch):
     hung = loaded(write_layout(tmp_path))
-    hung["north"].lidar.live = True
+    hung["north"].blender_lidar.live = True
     before, looks = moved(), []
     held, look = live._state.shown[session.uid_of(hung["south"])].look, LiveFrame.look
     monkeypatch.setattr(LiveFrame, "look", lambda self, *given: looks.append(self) or look(self, *given))
@@ -144,7 +144,7 @@ def test_while_one_is_dragged_the_others_are_not_cast_again_and_the_score_is_tha
     assert after["now"] != before["now"]
     assert after["baseline"] == before["baseline"]
     monkeypatch.undo()
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert told() == after
     hung["south"].location.z = -1.0
     assert moved() == {}
@@ -154,7 +154,7 @@ def test_while_one_is_dragged_the_others_are_not_cast_again_and_the_score_is_tha
     hung["south"].location.z = 3.0
     assert moved()["now"]["objective"] != 0.0
     assert bpy.context.scene.blender_lidar.problem == ""
-    hung["north"].lidar.live = False
+    hung["north"].blender_lidar.live = False
     live.update()
     assert not live._state.shown
 
@@ -162,28 +162,28 @@ def test_while_one_is_dragged_the_others_are_not_cast_again_and_the_score_is_tha
 def test_a_lidar_that_joins_the_layout_counts_in_it_and_one_that_leaves_does_not(tmp_path):
     hung, scene = loaded(write_layout(tmp_path)), bpy.context.scene
     scene.cursor.location = (0.0, -0.5, 3.0)
-    assert bpy.ops.lidar.add() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.add() == {"FINISHED"}
     added = session.active_lidar(scene)
-    assert not added.lidar.in_layout
+    assert not added.blender_lidar.in_layout
     assert session.layout_of(scene, added) == [added]
-    added.lidar.in_layout, added.name, added.lidar.range_gate_m = True, "the third", 20.0
-    added.lidar.rotation_hz, added.lidar.tilt_x_deg_on = hung["south"].lidar.rotation_hz, False
+    added.blender_lidar.in_layout, added.name, added.blender_lidar.range_gate_m = True, "the third", 20.0
+    added.blender_lidar.rotation_hz, added.blender_lidar.tilt_x_deg_on = hung["south"].blender_lidar.rotation_hz, False
     assert [one.name for one in layout().lidars] == ["south", "north", "the_third"]
     assert layout().lidars[2].baseline.height_m == pytest.approx(scene.blender_lidar.baseline.height_m)
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert told()["lidars"] == ["south", "north", "the third"]
-    added.lidar.range_gate_m = 15.0
+    added.blender_lidar.range_gate_m = 15.0
     with pytest.raises(RuntimeError, match=r"LiDAR the third, Range Gate: is 15\.0, but 20\.0 of another in"):
-        bpy.ops.lidar.scan()
-    added.lidar.in_layout = False
+        bpy.ops.blender_lidar.scan()
+    added.blender_lidar.in_layout = False
     assert panels.fused_lines(scene, hung["south"]) == []  # it was of another layout
-    assert bpy.ops.lidar.set_baseline() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.set_baseline() == {"FINISHED"}
     before = layout().as_tables()
     bpy.context.view_layer.objects.active = hung["north"]
     assert [one.name for one in layout().lidars] == ["south", "north"]
     assert layout().lidars[1].baseline.height_m == 2.5
     assert before["baseline"]["height_m"] == pytest.approx(3.0)
-    assert bpy.ops.lidar.set_baseline() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.set_baseline() == {"FINISHED"}
     assert layout().lidars[1].baseline == properties.mounting_of(hung["north"])
     assert layout().lidars[0].baseline.height_m == 2.0
 
@@ -193,7 +193,7 @@ def test_optimise_is_that_of_the_command_line_and_apply_hangs_every_lidar(tmp_pa
     hung = loaded(path)
     before = {name: properties.mounting_of(lidar).as_table() for name, lidar in hung.items()}
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
-    assert bpy.ops.lidar.optimise() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.optimize() == {"FINISHED"}
     line = run_of(path, tmp_path / "line")
     folder = Path(bpy.path.abspath(optimising.found_of(hung["north"])["folder"]))
     panel = json.loads((folder / "result.json").read_text())
@@ -202,27 +202,27 @@ def test_optimise_is_that_of_the_command_line_and_apply_hangs_every_lidar(tmp_pa
         k: v for k, v in without_times(line).items() if k not in apart
     }
     assert [text.partition(":")[0] for text in optimising.found_lines(hung["north"])[:2]] == ["south", "north"]
-    assert bpy.ops.lidar.apply() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.apply() == {"FINISHED"}
     for row in line["lidars"]:
         place = properties.mounting_of(hung[row["name"]]).as_table()
         assert [place[key] for key in COORDINATES] == pytest.approx(
             [row["deployment"][key] for key in COORDINATES], abs=2e-4
         )
     assert told()["lidars"] == ["south", "north"]
-    assert bpy.ops.lidar.revert() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.revert() == {"FINISHED"}
     for name, lidar in hung.items():
         assert properties.mounting_of(lidar).as_table() == pytest.approx(before[name], abs=2e-4)
     hung["south"].name = "east"
     bpy.context.view_layer.objects.active = hung["north"]
     with pytest.raises(RuntimeError, match="LiDAR south of the layout is gone or renamed"):
-        bpy.ops.lidar.apply()
+        bpy.ops.blender_lidar.apply()
 
 
 def test_one_is_searched_alone_while_the_others_stay_as_they_hang(tmp_path):
     hung = loaded(write_layout(tmp_path))
     bpy.context.view_layer.objects.active = hung["north"]
-    hung["south"].lidar.height_m = 3.75
-    assert bpy.ops.lidar.optimise(alone=True) == {"FINISHED"}
+    hung["south"].blender_lidar.height_m = 3.75
+    assert bpy.ops.blender_lidar.optimize(alone=True) == {"FINISHED"}
     folder = Path(optimising.found_of(hung["north"])["folder"])
     rows = {row["name"]: row for row in json.loads((folder / "result.json").read_text())["lidars"]}
     assert rows["south"]["bounds"] is None
@@ -231,9 +231,9 @@ def test_one_is_searched_alone_while_the_others_stay_as_they_hang(tmp_path):
     written = {entry["name"]: entry for entry in read_toml(folder / "scene.toml")["lidar"]}
     assert written["south"]["height_m"] == 3.75
     for key in properties.SEARCHABLE:
-        setattr(hung["north"].lidar, f"{key}_on", False)
+        setattr(hung["north"].blender_lidar, f"{key}_on", False)
     with pytest.raises(RuntimeError, match="every coordinate is fixed; switch at least one on"):
-        bpy.ops.lidar.optimise(alone=True)
+        bpy.ops.blender_lidar.optimize(alone=True)
 
 
 def test_lidars_on_poles_hang_on_different_ones_and_are_held_as_they_face(tmp_path):
@@ -256,24 +256,24 @@ def test_lidars_on_poles_hang_on_different_ones_and_are_held_as_they_face(tmp_pa
 
 def test_what_is_wrong_with_a_lidar_of_a_layout_is_said_by_its_name(tmp_path):
     hung, scene = loaded(write_layout(tmp_path)), bpy.context.scene
-    hung["north"].lidar.tilt_x_deg_low, hung["north"].lidar.tilt_x_deg_high = 0.4, 0.2
+    hung["north"].blender_lidar.tilt_x_deg_low, hung["north"].blender_lidar.tilt_x_deg_high = 0.4, 0.2
     with pytest.raises(properties.InputError, match="LiDAR panel: LiDAR north, Tilt X"):
         layout()
-    hung["north"].lidar.tilt_x_deg_low = 0.0
+    hung["north"].blender_lidar.tilt_x_deg_low = 0.0
     scene.blender_lidar.region.with_gate = True
     with pytest.raises(RuntimeError, match="Region, Radius: must be given with several LiDARs"):
-        bpy.ops.lidar.scan()
+        bpy.ops.blender_lidar.scan()
     scene.blender_lidar.region.with_gate = False
     bpy.data.objects["south"].location.y = 4.0
     with pytest.raises(RuntimeError, match=r"south: the mount at .* stands on the carriageway"):
-        bpy.ops.lidar.scan()
+        bpy.ops.blender_lidar.scan()
 
 
 def test_a_scene_of_one_named_lidar_is_a_layout_of_one(tmp_path):
     path = write_layout(tmp_path, hung=[SOUTH])
     hung = loaded(path)
     assert layout().as_tables() == load_scenario(path).as_tables()
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert panels.fused_lines(bpy.context.scene, hung["south"]) == []
 
 
@@ -303,7 +303,7 @@ def test_build_shows_every_mast_and_the_add_on_goes_on_from_it(tmp_path, capsys)
     again, expected = layout().as_tables(), load_scenario(path).as_tables()
     assert again["lidar 2"]["baseline"] == expected["lidar 2"]["baseline"]
     assert again["sensor"] == expected["sensor"]
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert told()["lidars"] == ["south", "north"]
 
 
@@ -349,8 +349,8 @@ class _Drawn:
 
 def test_the_panel_shows_the_layout_its_score_and_both_searches(tmp_path):
     hung, scene, drawn = loaded(write_layout(tmp_path)), bpy.context.scene, _Drawn()
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
-    for panel in (panels.LIDAR_PT_sensor, panels.LIDAR_PT_score, optimising.LIDAR_PT_optimise):
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    for panel in (panels.BLENDER_LIDAR_PT_sensor, panels.BLENDER_LIDAR_PT_score, optimising.BLENDER_LIDAR_PT_optimize):
         panel.draw_for(panel, drawn, scene, hung["north"])
     texts = list(filter(None, drawn.texts))
     assert texts.count("in_layout") == 2

@@ -25,7 +25,7 @@ def lidar(tmp_path):
     try:
         scene = bpy.context.scene
         scene.blender_lidar.traffic.path = str(write_scene(tmp_path))
-        assert bpy.ops.lidar.load() == {"FINISHED"}
+        assert bpy.ops.blender_lidar.load() == {"FINISHED"}
         scene.blender_lidar.model.caster = "exact"
         scene.blender_lidar.frame = 20
         yield lidars(scene)[0]
@@ -38,14 +38,14 @@ def lidar(tmp_path):
 
 def moved(lidar, **place):
     for key, value in place.items():
-        setattr(lidar.lidar, key, value)
+        setattr(lidar.blender_lidar, key, value)
     bpy.context.view_layer.update()
     live.update()
     return live._state.shown[session.uid_of(lidar)]
 
 
 def told_of(lidar):
-    group = lidar.lidar
+    group = lidar.blender_lidar
     names = ("points", "vehicles", "objective", "detectable_share", "baseline_objective", "baseline_share")
     return [getattr(group, name) for name in names], group.scanned_frame, list(group.scanned_at)
 
@@ -53,7 +53,7 @@ def told_of(lidar):
 def assert_as_scanned(lidar, shown):
     """What is live is what Scan finds, which writes it into Blender's points."""
     found, xyz = told_of(lidar), shown.look.cloud.xyz.copy()
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert found == told_of(lidar)
     stored = np.empty(xyz.size)
     cloud_of(lidar).data.vertices.foreach_get("co", stored)
@@ -62,43 +62,43 @@ def assert_as_scanned(lidar, shown):
 
 
 def test_a_live_lidar_shows_what_scan_finds_wherever_and_on_whatever_frame_it_is(lidar):
-    lidar.lidar.live = True
+    lidar.blender_lidar.live = True
     seen = [assert_as_scanned(lidar, moved(lidar, height_m=4.0, tilt_x_deg=0.3))]
     seen.append(assert_as_scanned(lidar, moved(lidar, x_m=6.0, tilt_x_deg=0.2)))
     bpy.context.scene.blender_lidar.frame = 23
     seen.append(assert_as_scanned(lidar, moved(lidar)))
-    lidar.lidar.range_gate_m = 12.0
+    lidar.blender_lidar.range_gate_m = 12.0
     seen.append(assert_as_scanned(lidar, moved(lidar)))
     assert len({tuple(one) for one in seen}) == 4
     assert bpy.context.scene.blender_lidar.problem == ""
 
 
 def test_what_has_not_changed_is_not_looked_at_again(lidar):
-    lidar.lidar.live = True
+    lidar.blender_lidar.live = True
     before = moved(lidar, height_m=4.0).look
     assert moved(lidar).look is before
     assert moved(lidar, height_m=4.1).look is not before
 
 
 def test_objects_of_the_users_own_occlude_live_and_exactly(lidar):
-    lidar.lidar.live = True
+    lidar.blender_lidar.live = True
     free = moved(lidar, height_m=4.0, tilt_x_deg=0.3).look.scored.seen.points.sum()
     wall = bpy.data.objects.new("wall", new_mesh("wall", WALL, np.array([[0, 1, 2, 3]])))
     bpy.context.scene.collection.objects.link(wall)
     shown = moved(lidar)
     assert shown.look.scored.seen.points.sum() < 0.5 * free
-    objective = lidar.lidar.objective
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
-    assert lidar.lidar.objective == pytest.approx(objective, rel=1e-3)
+    objective = lidar.blender_lidar.objective
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    assert lidar.blender_lidar.objective == pytest.approx(objective, rel=1e-3)
     wall.location.y = -20.0
     assert moved(lidar).look.scored.seen.points.sum() == free
 
 
 def test_points_take_every_colour_and_vehicles_that_of_their_entropy(lidar):
-    lidar.lidar.live = True
+    lidar.blender_lidar.live = True
     scene, seen = bpy.context.scene, []
     for name in ("range", "ring", "vehicle", "intensity", "entropy"):
-        lidar.lidar.colour_by = name
+        lidar.blender_lidar.colour_by = name
         shown = moved(lidar)
         assert shown.colours.shape == (len(shown.look.cloud), 4)
         assert ((shown.colours >= 0.0) & (shown.colours <= 1.0)).all()
@@ -106,16 +106,16 @@ def test_points_take_every_colour_and_vehicles_that_of_their_entropy(lidar):
     assert len(set(seen)) == 5
     vehicles = [item for item in scene.objects if role(item) == "vehicle"]
     assert len({tuple(item.color) for item in vehicles}) > 1
-    lidar.lidar.live = False
+    lidar.blender_lidar.live = False
     assert all(tuple(item.color) == tuple(item.active_material.diffuse_color) for item in vehicles)
 
 
 def test_the_cloud_is_hidden_while_live_and_stands_where_it_was_last_seen_afterwards(lidar):
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
-    lidar.lidar.live = True
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    lidar.blender_lidar.live = True
     shown = moved(lidar, x_m=5.0)
     assert cloud_of(lidar).hide_get()
-    lidar.lidar.live = False
+    lidar.blender_lidar.live = False
     cloud = cloud_of(lidar)
     assert not cloud.hide_get()
     bpy.context.view_layer.update()
@@ -125,10 +125,10 @@ def test_the_cloud_is_hidden_while_live_and_stands_where_it_was_last_seen_afterw
 
 
 def test_a_scanned_cloud_takes_another_colour_without_a_scan(lidar):
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     cloud, seen = cloud_of(lidar), set()
     for name in ("range", "ring", "vehicle", "intensity", "entropy"):
-        lidar.lidar.colour_by = name
+        lidar.blender_lidar.colour_by = name
         colour = np.empty(4 * len(cloud.data.vertices), np.float32)
         cloud.data.attributes["colour"].data.foreach_get("color", colour)
         seen.add(colour.tobytes())
@@ -136,12 +136,12 @@ def test_a_scanned_cloud_takes_another_colour_without_a_scan(lidar):
 
 
 def test_where_undo_has_ended_it_nothing_is_written(lidar):
-    assert bpy.ops.lidar.scan() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     before = len(cloud_of(lidar).data.vertices)
-    lidar.lidar.live = True
+    lidar.blender_lidar.live = True
     moved(lidar, x_m=9.0)
     live.on_other_time()
-    lidar.lidar.live = False
+    lidar.blender_lidar.live = False
     assert len(cloud_of(lidar).data.vertices) == before
     assert not cloud_of(lidar).hide_get()
     assert not live._state.shown
@@ -149,7 +149,7 @@ def test_where_undo_has_ended_it_nothing_is_written(lidar):
 
 def test_a_lidar_below_the_ground_says_so_and_goes_on_once_it_is_back(lidar):
     scene = bpy.context.scene
-    lidar.lidar.live = True
+    lidar.blender_lidar.live = True
     moved(lidar, height_m=4.0)
     lidar.location.z = -1.0
     moved(lidar)
@@ -162,13 +162,13 @@ def test_a_lidar_below_the_ground_says_so_and_goes_on_once_it_is_back(lidar):
 def test_two_live_lidars_are_looked_at_each_by_itself_and_a_removed_one_is_let_go_of(lidar):
     scene = bpy.context.scene
     scene.cursor.location = (10.0, 0.0, 3.0)
-    assert bpy.ops.lidar.add() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.add() == {"FINISHED"}
     other = next(item for item in lidars(scene) if item != lidar)
-    lidar.lidar.live = other.lidar.live = True
+    lidar.blender_lidar.live = other.blender_lidar.live = True
     moved(lidar, height_m=4.0)
     moved(other, height_m=4.5)
     assert len(live._state.shown) == 2
-    assert lidar.lidar.points != other.lidar.points
+    assert lidar.blender_lidar.points != other.blender_lidar.points
     bpy.data.objects.remove(other)
     live.update()
     assert set(live._state.shown) == {session.uid_of(lidar)}

@@ -95,7 +95,7 @@ def lidar():
 
 
 def lidars():
-    return [item for item in bpy.data.objects if item.get("blender_lidar") == "lidar"]
+    return [item for item in bpy.data.objects if item.get("blender_lidar_role") == "lidar"]
 
 
 def cloud():
@@ -125,42 +125,42 @@ def steps():
     photograph("2_loaded")
 
     yield from clicked(*SCAN)
-    yield from until(lambda: lidar().lidar.scanned_frame >= 0)
+    yield from until(lambda: lidar().blender_lidar.scanned_frame >= 0)
     yield 1.0
     TOLD["points"], before = points(), lidar().location.copy()
     photograph("3_scanned")
 
     # Drag it with the mouse while it is live: the cloud follows; undo brings both back.
-    called("lidar.choose", "EXEC_DEFAULT", True, name="LiDAR")
+    called("blender_lidar.select", "EXEC_DEFAULT", True, name="LiDAR")
     lidar().select_set(True)
-    lidar().lidar.live = True
+    lidar().blender_lidar.live = True
     yield 1.0
     x, y = middle()
     events("mousemove", x, y)
     yield 0.3
     yield pressed("g")
     yield pressed("x")
-    objective = lidar().lidar.objective
+    objective = lidar().blender_lidar.objective
     for along in range(0, 160, 20):
         events("mousemove", x + along, y)
         yield 0.15
     photograph("4_dragged")
     events("click", 1)
-    yield from until(lambda: lidar().lidar.objective != objective)
+    yield from until(lambda: lidar().blender_lidar.objective != objective)
     yield 1.0
     TOLD["moved_m"] = round((lidar().location - before).length, 2)
     assert TOLD["moved_m"] > 1.0, TOLD
     yield pressed("ctrl+z")
     yield from until(lambda: (lidar().location - before).length < 1e-5)
-    yield from until(lambda: abs(lidar().lidar.objective - objective) < 1e-4)
-    lidar().lidar.live = False
+    yield from until(lambda: abs(lidar().blender_lidar.objective - objective) < 1e-4)
+    lidar().blender_lidar.live = False
     yield from until(lambda: points() == TOLD["points"])
 
     # Optimise: Escape stops it at once and leaves nothing behind; then to its end.
     group = bpy.context.scene.blender_lidar
     group.search.particles, group.search.iterations, group.traffic.frames = 5, 200, 20
     running = list(Path(bpy.app.tempdir).glob("blender_lidar-*"))
-    assert called("lidar.optimise", "INVOKE_DEFAULT") == {"RUNNING_MODAL"}
+    assert called("blender_lidar.optimize", "INVOKE_DEFAULT") == {"RUNNING_MODAL"}
     x, y = SCAN
     events("mousemove", x, y, "click", "--repeat", 24, "--delay", 20, 5)  # the wheel: down to the panel Optimise
     yield 4.0
@@ -176,13 +176,13 @@ def steps():
     assert child.poll() is not None
     assert list(Path(bpy.app.tempdir).glob("blender_lidar-*")) == running
     group.search.iterations, group.traffic.frames = 4, 3
-    assert called("lidar.optimise", "INVOKE_DEFAULT") == {"RUNNING_MODAL"}
+    assert called("blender_lidar.optimize", "INVOKE_DEFAULT") == {"RUNNING_MODAL"}
     yield from until(lambda: not jobs)
-    assert lidar().lidar.found
-    assert called("lidar.apply", "INVOKE_DEFAULT", True) == {"FINISHED"}
+    assert lidar().blender_lidar.found
+    assert called("blender_lidar.apply", "INVOKE_DEFAULT", True) == {"FINISHED"}
     yield 1.0
     place = tuple(round(value, 3) for value in lidar().location)
-    TOLD["found"] = json.loads(lidar().lidar.found)["places"][lidar().name]["deployment"]
+    TOLD["found"] = json.loads(lidar().blender_lidar.found)["places"][lidar().name]["deployment"]
     photograph("6_optimised")
 
     # A second one, saved and opened again.
@@ -194,17 +194,17 @@ def steps():
     bpy.ops.wm.open_mainfile(filepath=str(path))
     yield 2.0
     assert tuple(round(value, 3) for value in lidar().location) == place
-    assert called("lidar.scan", "INVOKE_DEFAULT", True) == {"FINISHED"}
+    assert called("blender_lidar.scan", "INVOKE_DEFAULT", True) == {"FINISHED"}
     yield 0.5
     photograph("7_opened_again")
     live, handlers = (sys.modules[f"blender_lidar.addon.{name}"] for name in ("live", "handlers"))
-    lidar().lidar.live = True
+    lidar().blender_lidar.live = True
     yield from until(lambda: live._state.drawing is not None)
     bpy.ops.preferences.addon_disable(module="blender_lidar")
     assert live._state.drawing is None
     assert not any(map(bpy.app.timers.is_registered, (live.update, handlers.adopt_all)))
     assert not any(
-        hasattr(kind, name) for kind, name in ((bpy.types.Scene, "blender_lidar"), (bpy.types.Object, "lidar"))
+        hasattr(kind, name) for kind, name in ((bpy.types.Scene, "blender_lidar"), (bpy.types.Object, "blender_lidar"))
     )
     yield 0.5
 

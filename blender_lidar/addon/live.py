@@ -67,8 +67,8 @@ def update() -> None:
     live = set()
     for scene, layer in _open_scenes():
         found = lidars(scene) if scene.blender_lidar.loaded else []
-        together = any(lidar.lidar.live and lidar.lidar.in_layout for lidar in found)
-        mine = [one for one in found if one.lidar.live or (together and one.lidar.in_layout)]
+        together = any(lidar.blender_lidar.live and lidar.blender_lidar.in_layout for lidar in found)
+        mine = [one for one in found if one.blender_lidar.live or (together and one.blender_lidar.in_layout)]
         live |= {session.uid_of(lidar) for lidar in mine}
         if not mine:
             continue
@@ -94,7 +94,9 @@ def update() -> None:
             problems += [shown.problem] if shown.problem else []
         if moved:
             try:
-                _update_layout(scene, next((session.layout_of(scene, one) for one in mine if one.lidar.in_layout), []))
+                _update_layout(
+                    scene, next((session.layout_of(scene, one) for one in mine if one.blender_lidar.in_layout), [])
+                )
             except BlenderLidarError as error:
                 problems.append(" ".join(str(error).split()))
             _tell(scene, problems[0] if problems else "")
@@ -119,7 +121,7 @@ def _open_scenes() -> list[tuple[bpy.types.Scene, bpy.types.ViewLayer]]:
 
 def _update_one(scene, lidar, shown, objects) -> bool:
     """Look from a LiDAR unless it was looked at as it is now; whether that was done."""
-    group, mounting = lidar.lidar, properties.mounting_of(lidar)
+    group, mounting = lidar.blender_lidar, properties.mounting_of(lidar)
     now = mounting, scene.blender_lidar.frame, objects.state, group.colour_by
     if now == shown.seen:
         return False
@@ -184,7 +186,7 @@ def _end(key: str, shown: _Shown) -> None:
             if shown.look is not None and shown.frame is not None:  # not where undo has ended it
                 vehicles = shown.frame.frame.vehicles
                 points = vertices_of(shown.look.cloud, vehicles, shown.bits)
-                show_cloud(lidar, points, lidar.lidar.colour_by)
+                show_cloud(lidar, points, lidar.blender_lidar.colour_by)
             cloud = cloud_of(lidar)
             if cloud is not None and cloud.name in layer.objects:
                 cloud.hide_set(False, view_layer=layer)
@@ -302,7 +304,7 @@ def on_change(block: bpy.types.ID, table: str) -> None:
     elif bpy.app.background:
         update()
     if table == "look" and cloud_of(block) is not None:
-        colour_cloud(cloud_of(block), block.lidar.colour_by)
+        colour_cloud(cloud_of(block), block.blender_lidar.colour_by)
     _soon()
 
 
@@ -310,7 +312,7 @@ def _soon() -> None:
     """Update once Blender has handled what it is at."""
     if bpy.app.background or bpy.app.timers.is_registered(update):
         return
-    if _state.shown or any(lidar.lidar.live for scene, _ in _open_scenes() for lidar in lidars(scene)):
+    if _state.shown or any(lidar.blender_lidar.live for scene, _ in _open_scenes() for lidar in lidars(scene)):
         bpy.app.timers.register(update, first_interval=_PAUSE_S)
 
 

@@ -108,10 +108,10 @@ def show_frame(scene: bpy.types.Scene, vehicles: Vehicles) -> None:
     scene.blender_lidar.at_s = vehicles.time_s
 
 
-class LIDAR_OT_load(bpy.types.Operator):
+class BLENDER_LIDAR_OT_load(bpy.types.Operator):
     """Read the traffic file, or the scene file, and show its road and vehicles"""
 
-    bl_idname, bl_label, bl_options = "lidar.load", "Load", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "blender_lidar.load", "Load", {"REGISTER", "UNDO"}
 
     @one_line_errors
     def execute(self, context):
@@ -126,10 +126,10 @@ class LIDAR_OT_load(bpy.types.Operator):
         return _loaded(self, recording)
 
 
-class LIDAR_OT_load_example(bpy.types.Operator):
+class BLENDER_LIDAR_OT_load_example(bpy.types.Operator):
     """Load the example: synthetic traffic made to resemble I-80, its road, and a LiDAR beside it"""
 
-    bl_idname, bl_label, bl_options = "lidar.load_example", "Load Example", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "blender_lidar.load_example", "Load Example", {"REGISTER", "UNDO"}
 
     @one_line_errors
     def execute(self, context):
@@ -148,7 +148,7 @@ def _take_over(operator, context, path):
     properties.hang_again(scene)
     there, taken = {one.name: one for one in lidars(scene)}, set()
     for one in there.values() if scenario.lidar_name else ():
-        one.lidar.in_layout = False
+        one.blender_lidar.in_layout = False
     for number, one in enumerate(scenario.each):
         found = there.get(one.lidar_name) if one.lidar_name else session.active_lidar(scene)
         if found is None:  # where what is not searched is as the file says, each on a pole of its own
@@ -178,10 +178,10 @@ def _loaded(operator, recording):
     return {"FINISHED"}
 
 
-class LIDAR_OT_step_frame(NeedsTraffic, bpy.types.Operator):
+class BLENDER_LIDAR_OT_step_frame(NeedsTraffic, bpy.types.Operator):
     """Show the next or the previous frame of the recording"""
 
-    bl_idname, bl_label, bl_options = "lidar.step_frame", "Step", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "blender_lidar.step_frame", "Step", {"REGISTER", "UNDO"}
     back: BoolProperty(default=False, options={"SKIP_SAVE"})
 
     @one_line_errors
@@ -200,7 +200,7 @@ class LIDAR_OT_step_frame(NeedsTraffic, bpy.types.Operator):
 def add_lidar(scene: bpy.types.Scene, pose: Pose, name: str = "LiDAR") -> bpy.types.Object:
     """A new LiDAR at a mounting, dressed, with the usual sensor."""
     lidar = new_lidar(scene, pose, name)
-    lidar.lidar.schema = properties.SCHEMA
+    lidar.blender_lidar.schema = properties.SCHEMA
     dress(lidar, lattice_of(session.sensor_of(lidar)))
     scene.blender_lidar.active = lidar.name
     return lidar
@@ -216,10 +216,10 @@ def select(context: bpy.types.Context, lidar: bpy.types.Object) -> None:
         lidar.select_set(True)
 
 
-class LIDAR_OT_add(bpy.types.Operator):
+class BLENDER_LIDAR_OT_add(bpy.types.Operator):
     """Add a LiDAR on a pole at the 3D cursor, at least as high as the baseline"""
 
-    bl_idname, bl_label, bl_options = "lidar.add", "LiDAR", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "blender_lidar.add", "LiDAR", {"REGISTER", "UNDO"}
 
     @one_line_errors
     def execute(self, context):
@@ -240,10 +240,10 @@ def _shows(layer: bpy.types.LayerCollection, of: bpy.types.Collection) -> bool:
     return not layer.exclude and (layer.collection == of or any(_shows(child, of) for child in layer.children))
 
 
-class LIDAR_OT_choose(bpy.types.Operator):
+class BLENDER_LIDAR_OT_select(bpy.types.Operator):
     """Select this LiDAR"""
 
-    bl_idname, bl_label, bl_options = "lidar.choose", "Choose", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "blender_lidar.select", "Choose", {"REGISTER", "UNDO"}
     name: StringProperty(options={"SKIP_SAVE"})
 
     def execute(self, context):
@@ -268,10 +268,10 @@ def adopt(scene: bpy.types.Scene) -> None:
     if found:
         road_frame(scene)
     for lidar in found:
-        if lidar.lidar.schema == 0:
+        if lidar.blender_lidar.schema == 0:
             if SETTINGS in lidar:
                 session.fill_lidar(lidar, *_stored(lidar), json.loads(lidar[SETTINGS]).get("number", 0))
-            lidar.lidar.schema = properties.SCHEMA
+            lidar.blender_lidar.schema = properties.SCHEMA
         if not carried or not any(role(child) == PART for child in lidar.children):
             dress(lidar, lattice_of(session.sensor_of(lidar)))
 
@@ -307,10 +307,10 @@ def _checked(scene: bpy.types.Scene, lidar: bpy.types.Object) -> tuple[Scenario,
     return scenario, mounting, vehicles
 
 
-class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
+class BLENDER_LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
     """Cast one revolution from the LiDAR, show its cloud, and score the vehicles"""
 
-    bl_idname, bl_label, bl_options = "lidar.scan", "Scan", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "blender_lidar.scan", "Scan", {"REGISTER", "UNDO"}
 
     @one_line_errors
     def execute(self, context):
@@ -326,26 +326,26 @@ class LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
             session.store_layout(scene, hung, frames, looks)
         for lidar, (look, base), (scenario, _, vehicles) in zip(hung, looks, checked, strict=True):
             bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
-            show_cloud(lidar, vertices_of(look.cloud, vehicles, bits), lidar.lidar.colour_by)
+            show_cloud(lidar, vertices_of(look.cloud, vehicles, bits), lidar.blender_lidar.colour_by)
             session.store(lidar, vehicles, look, base)
-            scored = "" if look.scored is None else f", objective {lidar.lidar.objective:.2f}"
-            told.append(f"{lidar.name}: {lidar.lidar.points:,} points on frame {vehicles.frame}{scored}")
+            scored = "" if look.scored is None else f", objective {lidar.blender_lidar.objective:.2f}"
+            told.append(f"{lidar.name}: {lidar.blender_lidar.points:,} points on frame {vehicles.frame}{scored}")
         self.report({"INFO"}, "; ".join(told))
         return {"FINISHED"}
 
 
-class LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
+class BLENDER_LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
     """Make the LiDAR's mounting the baseline that gains are measured against"""
 
-    bl_idname, bl_label, bl_options = "lidar.set_baseline", "Set as Baseline", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "blender_lidar.set_baseline", "Set as Baseline", {"REGISTER", "UNDO"}
 
     @one_line_errors
     def execute(self, context):
         """Take the pose over."""
         lidar = session.active_lidar(context.scene)
         mounting = properties.mounting_of(lidar)
-        if lidar.lidar.in_layout or lidar.lidar.baseline:
-            lidar.lidar.baseline = json.dumps(mounting.as_table())
+        if lidar.blender_lidar.in_layout or lidar.blender_lidar.baseline:
+            lidar.blender_lidar.baseline = json.dumps(mounting.as_table())
         else:
             properties.fill(context.scene.blender_lidar.baseline, properties.SIX, mounting.as_table())
         return {"FINISHED"}
@@ -363,10 +363,10 @@ def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Vehicles]:
     return sensors[hung.index(lidar)], vehicles
 
 
-class LIDAR_OT_export_cloud(NeedsTraffic, bpy.types.Operator, ExportHelper):
+class BLENDER_LIDAR_OT_export_cloud(NeedsTraffic, bpy.types.Operator, ExportHelper):
     """Write the cloud of the frame that is shown"""
 
-    bl_idname, bl_label = "lidar.export_cloud", "Export Cloud"
+    bl_idname, bl_label = "blender_lidar.export_cloud", "Export Cloud"
     filename_ext: EnumProperty(name="Format", items=[(name, name[1:].upper(), "") for name in CLOUD_SUFFIXES])
 
     @one_line_errors
@@ -391,10 +391,10 @@ class FolderHelper:
         return {"RUNNING_MODAL"}
 
 
-class LIDAR_OT_export_labelled(NeedsTraffic, FolderHelper, bpy.types.Operator):
+class BLENDER_LIDAR_OT_export_labelled(NeedsTraffic, FolderHelper, bpy.types.Operator):
     """Write the cloud of the frame that is shown, and its boxes as labels of SUSTechPOINTS"""
 
-    bl_idname, bl_label = "lidar.export_labelled", "Export Labelled Set"
+    bl_idname, bl_label = "blender_lidar.export_labelled", "Export Labelled Set"
 
     @one_line_errors
     def execute(self, context):
@@ -408,10 +408,10 @@ class LIDAR_OT_export_labelled(NeedsTraffic, FolderHelper, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
+class BLENDER_LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
     """Score the mounting on all searched and held-out frames, as evaluate does, into an empty folder"""
 
-    bl_idname, bl_label = "lidar.export_run", "Export Run Folder"
+    bl_idname, bl_label = "blender_lidar.export_run", "Export Run Folder"
 
     @one_line_errors
     def execute(self, context):
@@ -430,14 +430,14 @@ class LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
 
 
 classes = (
-    LIDAR_OT_load,
-    LIDAR_OT_load_example,
-    LIDAR_OT_step_frame,
-    LIDAR_OT_add,
-    LIDAR_OT_choose,
-    LIDAR_OT_scan,
-    LIDAR_OT_set_baseline,
-    LIDAR_OT_export_cloud,
-    LIDAR_OT_export_labelled,
-    LIDAR_OT_export_run,
+    BLENDER_LIDAR_OT_load,
+    BLENDER_LIDAR_OT_load_example,
+    BLENDER_LIDAR_OT_step_frame,
+    BLENDER_LIDAR_OT_add,
+    BLENDER_LIDAR_OT_select,
+    BLENDER_LIDAR_OT_scan,
+    BLENDER_LIDAR_OT_set_baseline,
+    BLENDER_LIDAR_OT_export_cloud,
+    BLENDER_LIDAR_OT_export_labelled,
+    BLENDER_LIDAR_OT_export_run,
 )

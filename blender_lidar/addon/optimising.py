@@ -226,18 +226,18 @@ def keep_result(hung: Sequence[bpy.types.Object], job: Optimisation) -> None:
         before = properties.mounting_of(one).as_table()
         found["places"][one.name] = {"deployment": row["deployment"], "before": before}
     for one in hung:
-        one.lidar.found = json.dumps(found)
+        one.blender_lidar.found = json.dumps(found)
 
 
 def found_of(lidar: bpy.types.Object) -> dict[str, Any]:
     """What an optimisation has found, as result.json has it, where the LiDAR hung before, and the run's folder."""
-    return json.loads(lidar.lidar.found)
+    return json.loads(lidar.blender_lidar.found)
 
 
-class LIDAR_OT_optimise(operators.NeedsTraffic, bpy.types.Operator):
+class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
     """Search the mounting that sees the vehicles best; Escape stops it"""
 
-    bl_idname, bl_label, bl_options = "lidar.optimise", "Optimise", {"REGISTER"}
+    bl_idname, bl_label, bl_options = "blender_lidar.optimize", "Optimise", {"REGISTER"}
     alone: BoolProperty(description="Search this LiDAR, the others of the layout held as they hang")
 
     @operators.one_line_errors
@@ -340,7 +340,7 @@ class _NeedsFound:
     def poll(cls, context):
         """Whether something was found."""
         lidar = session.active_lidar(context.scene)
-        if lidar is None or not lidar.lidar.found:
+        if lidar is None or not lidar.blender_lidar.found:
             cls.poll_message_set("Optimise first")
             return False
         return True
@@ -358,25 +358,25 @@ class _Hangs(_NeedsFound):
         for one, of in zip(hung, places.values(), strict=True):
             hang(one, mounting_from(of[self.to], properties.road_of(context.scene)).pose)
         context.view_layer.update()
-        return operators.LIDAR_OT_scan.execute(self, context)
+        return operators.BLENDER_LIDAR_OT_scan.execute(self, context)
 
 
-class LIDAR_OT_apply(_Hangs, bpy.types.Operator):
+class BLENDER_LIDAR_OT_apply(_Hangs, bpy.types.Operator):
     """Hang the LiDAR where the optimisation found it best, and scan from there"""
 
-    bl_idname, bl_label, bl_options, to = "lidar.apply", "Apply", {"REGISTER", "UNDO"}, "deployment"
+    bl_idname, bl_label, bl_options, to = "blender_lidar.apply", "Apply", {"REGISTER", "UNDO"}, "deployment"
 
 
-class LIDAR_OT_revert(_Hangs, bpy.types.Operator):
+class BLENDER_LIDAR_OT_revert(_Hangs, bpy.types.Operator):
     """Hang the LiDAR where it was before it was optimised, and scan from there"""
 
-    bl_idname, bl_label, bl_options, to = "lidar.revert", "Revert", {"REGISTER", "UNDO"}, "before"
+    bl_idname, bl_label, bl_options, to = "blender_lidar.revert", "Revert", {"REGISTER", "UNDO"}, "before"
 
 
-class LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
+class BLENDER_LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
     """Open the page of the last optimisation in the browser"""
 
-    bl_idname, bl_label = "lidar.open_report", "Open Report"
+    bl_idname, bl_label = "blender_lidar.open_report", "Open Report"
 
     def execute(self, context):
         """Open it."""
@@ -391,13 +391,13 @@ class LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
 # --- The panel --------------------------------------------------------------------------------------------------------
 
 
-@panels.panel("Optimise", panels.LIDAR_PT_main.__name__, bl_order=5)
-class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
+@panels.panel("Optimise", panels.BLENDER_LIDAR_PT_main.__name__, bl_order=5)
+class BLENDER_LIDAR_PT_optimize(panels.OfTraffic, bpy.types.Panel):
     """What is searched, how far it is, and what was found."""
 
     def draw_for(self, layout, scene, lidar):
         """A row for each coordinate, the budget, progress and answer."""
-        group, shared, job = lidar.lidar, scene.blender_lidar, job_of(lidar)
+        group, shared, job = lidar.blender_lidar, scene.blender_lidar, job_of(lidar)
         column = layout.column(align=True)
         column.enabled = job is None
         for key in properties.SEARCHABLE:
@@ -433,19 +433,25 @@ class LIDAR_PT_optimise(panels.OfTraffic, bpy.types.Panel):
         together = len(session.layout_of(scene, lidar)) > 1
         for alone in (False, True) if together else (False,):
             text = f"Optimise {lidar.name if alone else 'Layout'}" if together else "Optimise"
-            layout.operator("lidar.optimise", text=text, icon="VIEWZOOM").alone = alone
+            layout.operator("blender_lidar.optimize", text=text, icon="VIEWZOOM").alone = alone
         if group.found:
             box = layout.box().column(align=True)
             box.label(text="Found:")
             for line in found_lines(lidar):
                 box.label(text=line)
             row = layout.row(align=True)
-            row.operator("lidar.apply", icon="CHECKMARK")
-            row.operator("lidar.revert", icon="LOOP_BACK")
-            layout.operator("lidar.open_report", icon="URL")
+            row.operator("blender_lidar.apply", icon="CHECKMARK")
+            row.operator("blender_lidar.revert", icon="LOOP_BACK")
+            layout.operator("blender_lidar.open_report", icon="URL")
 
 
-classes = (LIDAR_OT_optimise, LIDAR_OT_apply, LIDAR_OT_revert, LIDAR_OT_open_report, LIDAR_PT_optimise)
+classes = (
+    BLENDER_LIDAR_OT_optimize,
+    BLENDER_LIDAR_OT_apply,
+    BLENDER_LIDAR_OT_revert,
+    BLENDER_LIDAR_OT_open_report,
+    BLENDER_LIDAR_PT_optimize,
+)
 
 
 def register() -> None:

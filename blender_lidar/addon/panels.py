@@ -35,7 +35,7 @@ def rows(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup, *keys: str)
 
 
 @panel("LiDAR")
-class LIDAR_PT_main(bpy.types.Panel):
+class BLENDER_LIDAR_PT_main(bpy.types.Panel):
     """The tab."""
 
     def draw(self, context):
@@ -44,11 +44,11 @@ class LIDAR_PT_main(bpy.types.Panel):
             self.layout.label(text=context.scene.blender_lidar.problem, icon="ERROR")
         if not operators.has_traffic(context):
             self.layout.label(text="No traffic is loaded yet.", icon="INFO")
-            self.layout.operator("lidar.load_example", icon="IMPORT")
+            self.layout.operator("blender_lidar.load_example", icon="IMPORT")
 
 
-@panel("Traffic", LIDAR_PT_main.__name__)
-class LIDAR_PT_traffic(bpy.types.Panel):
+@panel("Traffic", BLENDER_LIDAR_PT_main.__name__)
+class BLENDER_LIDAR_PT_traffic(bpy.types.Panel):
     """Which traffic, which of its frames, on what road."""
 
     def draw(self, context):
@@ -57,19 +57,19 @@ class LIDAR_PT_traffic(bpy.types.Panel):
         layout.use_property_split, layout.use_property_decorate = True, False
         layout.prop(group.traffic, "path", text="File")
         row = layout.row(align=True)
-        row.operator("lidar.load", icon="FILE_REFRESH")
-        row.operator("lidar.load_example", icon="IMPORT")
+        row.operator("blender_lidar.load", icon="FILE_REFRESH")
+        row.operator("blender_lidar.load_example", icon="IMPORT")
         if group.loaded:
             row = layout.row(align=True)
-            row.operator("lidar.step_frame", text="", icon="TRIA_LEFT").back = True
+            row.operator("blender_lidar.step_frame", text="", icon="TRIA_LEFT").back = True
             row.prop(group, "frame", text="Frame")
-            row.operator("lidar.step_frame", text="", icon="TRIA_RIGHT")
+            row.operator("blender_lidar.step_frame", text="", icon="TRIA_RIGHT")
             layout.label(text=f"At {group.at_s:.1f} s")
         layout.prop(group.world, "detail", text="Vehicles")
 
 
-@panel("Road and File", LIDAR_PT_traffic.__name__, bl_options={"DEFAULT_CLOSED"})
-class LIDAR_PT_road(bpy.types.Panel):
+@panel("Road and File", BLENDER_LIDAR_PT_traffic.__name__, bl_options={"DEFAULT_CLOSED"})
+class BLENDER_LIDAR_PT_road(bpy.types.Panel):
     """Where the road lies in the file."""
 
     def draw(self, context):
@@ -102,15 +102,15 @@ class OfTraffic:
             layout.label(text="Load traffic first.", icon="INFO")
         elif lidar is None:
             layout.label(text="Add a LiDAR first: Add > LiDAR.", icon="INFO")
-            layout.operator("lidar.add", icon="ADD")
+            layout.operator("blender_lidar.add", icon="ADD")
             return
         layout.enabled = operators.has_traffic(context)
         if lidar is not None:
             self.draw_for(layout, context.scene, lidar)
 
 
-@panel("Sensor", LIDAR_PT_main.__name__)
-class LIDAR_PT_sensor(OfTraffic, bpy.types.Panel):
+@panel("Sensor", BLENDER_LIDAR_PT_main.__name__)
+class BLENDER_LIDAR_PT_sensor(OfTraffic, bpy.types.Panel):
     """The LiDARs of the scene, and how the active one hangs."""
 
     def draw_for(self, layout, scene, lidar):
@@ -119,32 +119,32 @@ class LIDAR_PT_sensor(OfTraffic, bpy.types.Panel):
         for item in session.lidars(scene):
             chosen, row = item == lidar, column.row(align=True)
             icon = "RADIOBUT_ON" if chosen else "RADIOBUT_OFF"
-            row.operator("lidar.choose", text=item.name, icon=icon, depress=chosen).name = item.name
-            row.prop(item.lidar, "in_layout", text="")
-        layout.operator("lidar.add", text="Add LiDAR", icon="ADD")
-        layout.prop(lidar.lidar, "name_")
-        if lidar.lidar.name_ == properties.OWN:
-            layout.prop(lidar.lidar, "table_path")
-        rows(layout, lidar.lidar, "rotation_hz", "range_gate_m")
+            row.operator("blender_lidar.select", text=item.name, icon=icon, depress=chosen).name = item.name
+            row.prop(item.blender_lidar, "in_layout", text="")
+        layout.operator("blender_lidar.add", text="Add LiDAR", icon="ADD")
+        layout.prop(lidar.blender_lidar, "name_")
+        if lidar.blender_lidar.name_ == properties.OWN:
+            layout.prop(lidar.blender_lidar, "table_path")
+        rows(layout, lidar.blender_lidar, "rotation_hz", "range_gate_m")
         try:
             place = properties.mounting_of(lidar).as_table()
         except BlenderLidarError as error:
             layout.label(text=str(error), icon="ERROR")
             return
-        rows(layout, lidar.lidar, *COORDINATES)
+        rows(layout, lidar.blender_lidar, *COORDINATES)
         way = "" if place["lean_direction_deg"] is None else f" towards {place['lean_direction_deg']:.0f}°"
         layout.label(text=f"Lean {place['lean_deg']:.1f}°{way}")
 
 
-@panel("Scan", LIDAR_PT_main.__name__)
-class LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
+@panel("Scan", BLENDER_LIDAR_PT_main.__name__)
+class BLENDER_LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
     """One revolution, and how its points look."""
 
     def draw_for(self, layout, scene, lidar):
         """Scan, live, colours and noise."""
-        group = lidar.lidar
+        group = lidar.blender_lidar
         row = layout.row(align=True)
-        row.operator("lidar.scan", icon="LIGHT_SUN")
+        row.operator("blender_lidar.scan", icon="LIGHT_SUN")
         row.prop(group, "live", toggle=True)
         layout.prop(group, "colour_by")
         layout.label(text=f"Own objects: {'preview' if group.live else 'exact'}", icon="MESH_CUBE")
@@ -156,20 +156,20 @@ class LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
                 layout.label(text="Changed since: scan again.", icon="ERROR")
 
 
-@panel("Noise", LIDAR_PT_scan.__name__, bl_options={"DEFAULT_CLOSED"})
-class LIDAR_PT_noise(OfTraffic, bpy.types.Panel):
+@panel("Noise", BLENDER_LIDAR_PT_scan.__name__, bl_options={"DEFAULT_CLOSED"})
+class BLENDER_LIDAR_PT_noise(OfTraffic, bpy.types.Panel):
     """How imperfect the sensor is."""
 
     def draw_for(self, layout, scene, lidar):
         """Its imperfections."""
-        layout.prop(lidar.lidar, "datasheet")
-        own = ("range_noise_m", "range_at_10_percent_m") if lidar.lidar.datasheet else ()
-        rows(layout, lidar.lidar, *(key for key in properties.IMPERFECTIONS if key not in own))
+        layout.prop(lidar.blender_lidar, "datasheet")
+        own = ("range_noise_m", "range_at_10_percent_m") if lidar.blender_lidar.datasheet else ()
+        rows(layout, lidar.blender_lidar, *(key for key in properties.IMPERFECTIONS if key not in own))
 
 
 def is_stale(scene: bpy.types.Scene, lidar: bpy.types.Object) -> bool:
     """Whether the LiDAR or the frame is another than when it was scanned."""
-    group = lidar.lidar
+    group = lidar.blender_lidar
     try:
         pose = pose_of(lidar).as_table().values()
     except BlenderLidarError:
@@ -186,19 +186,19 @@ def fused_lines(scene: bpy.types.Scene, lidar: bpy.types.Object) -> list[str]:
     now, base = told["now"], told["baseline"]
     lines = [f"Layout of {len(hung)}: objective {now['objective']:.2f}"]
     lines.append(f"Detectable {100 * now['share']:.0f} % of {told['vehicles']}, alone")
-    lines.append(", ".join(f"{one.name} {100 * one.lidar.detectable_share:.0f} %" for one in hung))
+    lines.append(", ".join(f"{one.name} {100 * one.blender_lidar.detectable_share:.0f} %" for one in hung))
     gain, more = now["objective"] - base["objective"], now["share"] - base["share"]
     lines.append(f"Over baselines {gain:+.2f}, {100 * more:+.0f} pp")
     return [*lines, *(["Changed since: scan again."] if any(is_stale(scene, one) for one in hung) else [])]
 
 
-@panel("Score", LIDAR_PT_main.__name__)
-class LIDAR_PT_score(OfTraffic, bpy.types.Panel):
+@panel("Score", BLENDER_LIDAR_PT_main.__name__)
+class BLENDER_LIDAR_PT_score(OfTraffic, bpy.types.Panel):
     """What the mounting is worth on this frame, beside the baseline."""
 
     def draw_for(self, layout, scene, lidar):
         """Objective, detectable share and the difference to the baseline."""
-        group, shared = lidar.lidar, scene.blender_lidar
+        group, shared = lidar.blender_lidar, scene.blender_lidar
         layout.prop(shared, "metric")
         for line in fused_lines(scene, lidar):
             layout.label(text=line)
@@ -216,36 +216,36 @@ class LIDAR_PT_score(OfTraffic, bpy.types.Panel):
         own = {"height_m": base.height_m, "tilt_x_deg": math.degrees(base.tilt_x_deg)}
         own |= json.loads(group.baseline or "{}")
         layout.label(text=f"Baseline: {own['height_m']:.2f} m, tilt {own['tilt_x_deg']:.1f}°")
-        layout.operator("lidar.set_baseline", icon="PINNED")
+        layout.operator("blender_lidar.set_baseline", icon="PINNED")
 
 
-@panel("Export", LIDAR_PT_main.__name__, bl_options={"DEFAULT_CLOSED"}, bl_order=9)
-class LIDAR_PT_export(OfTraffic, bpy.types.Panel):
+@panel("Export", BLENDER_LIDAR_PT_main.__name__, bl_options={"DEFAULT_CLOSED"}, bl_order=9)
+class BLENDER_LIDAR_PT_export(OfTraffic, bpy.types.Panel):
     """What goes out."""
 
     def draw_for(self, layout, scene, lidar):
         """Clouds, labelled sets, a run folder, a .blend file."""
         column = layout.column(align=True)
-        column.operator("lidar.export_cloud", text="Cloud", icon="EXPORT")
-        column.operator("lidar.export_labelled", text="Labelled Set")
-        column.operator("lidar.export_run", text="Run Folder")
+        column.operator("blender_lidar.export_cloud", text="Cloud", icon="EXPORT")
+        column.operator("blender_lidar.export_labelled", text="Labelled Set")
+        column.operator("blender_lidar.export_run", text="Run Folder")
         column.operator("wm.save_as_mainfile", text="Copy as .blend").copy = True
 
 
 def add_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     """Add > LiDAR."""
-    menu.layout.operator("lidar.add", icon="LIGHT_SUN")
+    menu.layout.operator("blender_lidar.add", icon="LIGHT_SUN")
 
 
 classes = (
-    LIDAR_PT_main,
-    LIDAR_PT_traffic,
-    LIDAR_PT_road,
-    LIDAR_PT_sensor,
-    LIDAR_PT_scan,
-    LIDAR_PT_noise,
-    LIDAR_PT_score,
-    LIDAR_PT_export,
+    BLENDER_LIDAR_PT_main,
+    BLENDER_LIDAR_PT_traffic,
+    BLENDER_LIDAR_PT_road,
+    BLENDER_LIDAR_PT_sensor,
+    BLENDER_LIDAR_PT_scan,
+    BLENDER_LIDAR_PT_noise,
+    BLENDER_LIDAR_PT_score,
+    BLENDER_LIDAR_PT_export,
 )
 
 

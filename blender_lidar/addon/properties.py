@@ -1,6 +1,6 @@
 """The panel's properties, made from the one declaration of each setting: unit, range, default and tooltip.
 
-`Scene.blender_lidar` holds what a scene has once, `Object.lidar` what each LiDAR has. Blender keeps numbers in single
+`Scene.blender_lidar` holds what a scene has once, `Object.blender_lidar` what each LiDAR has. Blender keeps numbers in single
 precision and angles in radians: `values_of` gives them back as they were typed.
 """
 
@@ -192,7 +192,7 @@ def _annotations(table: str, keys: Mapping[str, Setting]) -> dict[str, object]:
 
 # Groups with one property for each key, as registered classes read them from their annotations.
 GROUPS = {
-    table: type(f"LIDAR_PG_{table}", (bpy.types.PropertyGroup,), {"__annotations__": _annotations(table, keys)})
+    table: type(f"BLENDER_LIDAR_PG_{table}", (bpy.types.PropertyGroup,), {"__annotations__": _annotations(table, keys)})
     for table, keys in TABLES.items()
 }
 
@@ -241,7 +241,7 @@ def changed(before: Kept, fields: dict[str, dict]) -> dict[tuple[str, str], tupl
 # --- The region, and what a scene has besides -------------------------------------------------------------------------
 
 
-class LIDAR_PG_region(bpy.types.PropertyGroup):
+class BLENDER_LIDAR_PG_region(bpy.types.PropertyGroup):
     """Where vehicles count: a circle."""
 
     centre_m: FloatVectorProperty(
@@ -275,7 +275,7 @@ class LIDAR_PG_region(bpy.types.PropertyGroup):
         }
 
 
-class LIDAR_PG_scene(bpy.types.PropertyGroup):
+class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
     """What the sidebar's tab shows of a scene."""
 
     schema: IntProperty(default=0, options={"HIDDEN"})
@@ -302,8 +302,8 @@ class LIDAR_PG_scene(bpy.types.PropertyGroup):
 
 
 for _table in TABLES:
-    LIDAR_PG_scene.__annotations__[_table] = PointerProperty(type=GROUPS[_table])
-LIDAR_PG_scene.__annotations__["region"] = PointerProperty(type=LIDAR_PG_region)
+    BLENDER_LIDAR_PG_scene.__annotations__[_table] = PointerProperty(type=GROUPS[_table])
+BLENDER_LIDAR_PG_scene.__annotations__["region"] = PointerProperty(type=BLENDER_LIDAR_PG_region)
 
 
 # --- A LiDAR ------------------------------------------------------------------------------------------------------
@@ -343,7 +343,7 @@ def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None) -> Mountin
         For a LiDAR that is mirrored, or a road frame that is tilted or scaled.
     """
     road = road_of(scene_of(lidar)) if road is None else road
-    tables, pose = kept_of(lidar.lidar).tables, pose_of(lidar)
+    tables, pose = kept_of(lidar.blender_lidar).tables, pose_of(lidar)
     filed, towards = tables.get("deployment", {}), tables.get("mast", {}).get("towards")
     facing = filed.get("facing_deg", 90.0 if towards is None else facing_deg((pose.x_m, pose.y_m), towards))
     hung = hung_at(pose, road, math.radians(facing))
@@ -394,7 +394,7 @@ def hang_again(scene: bpy.types.Scene) -> None:
                     hang(lidar, there.pose)
 
 
-class LIDAR_PG_lidar(bpy.types.PropertyGroup):
+class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
     """What belongs to one LiDAR; its transform is its pose."""
 
     schema: IntProperty(default=0, options={"HIDDEN"})
@@ -445,14 +445,14 @@ class LIDAR_PG_lidar(bpy.types.PropertyGroup):
     found: StringProperty(options={"HIDDEN"}, description="What an optimisation has found, as JSON")
 
 
-LIDAR_PG_lidar.__annotations__ |= _annotations("sensor", SENSOR)
+BLENDER_LIDAR_PG_lidar.__annotations__ |= _annotations("sensor", SENSOR)
 for _key, _declared in SEARCHABLE.items():
-    LIDAR_PG_lidar.__annotations__[_key] = made_from(
+    BLENDER_LIDAR_PG_lidar.__annotations__[_key] = made_from(
         _key, _declared, "deployment", get=_pose_getter(_key), set=_pose_setter(_key), update=None
     )
     _low, _high = _USUAL.get(_key, (_declared.low, _declared.high))
     _scale = math.radians(1.0) if _key.endswith("_deg") else 1.0
-    LIDAR_PG_lidar.__annotations__ |= {
+    BLENDER_LIDAR_PG_lidar.__annotations__ |= {
         f"{_key}_on": BoolProperty(
             name=label_of(_key), default=_key in SEARCHED, description=f"Search this coordinate: {_declared.help}"
         ),
@@ -461,15 +461,15 @@ for _key, _declared in SEARCHABLE.items():
     }
 
 
-classes = (*GROUPS.values(), LIDAR_PG_region, LIDAR_PG_scene, LIDAR_PG_lidar)
+classes = (*GROUPS.values(), BLENDER_LIDAR_PG_region, BLENDER_LIDAR_PG_scene, BLENDER_LIDAR_PG_lidar)
 
 
 def register() -> None:
     """Let every scene and object have its group."""
-    bpy.types.Scene.blender_lidar = PointerProperty(type=LIDAR_PG_scene)
-    bpy.types.Object.lidar = PointerProperty(type=LIDAR_PG_lidar)
+    bpy.types.Scene.blender_lidar = PointerProperty(type=BLENDER_LIDAR_PG_scene)
+    bpy.types.Object.blender_lidar = PointerProperty(type=BLENDER_LIDAR_PG_lidar)
 
 
 def unregister() -> None:
     """Take the groups away; what is saved in files stays there."""
-    del bpy.types.Scene.blender_lidar, bpy.types.Object.lidar
+    del bpy.types.Scene.blender_lidar, bpy.types.Object.blender_lidar

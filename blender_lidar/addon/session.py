@@ -81,8 +81,10 @@ def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None,
 
 def layout_of(scene: bpy.types.Scene, lidar: bpy.types.Object) -> list[bpy.types.Object]:
     """The LiDARs of the layout that a LiDAR is in, in the order of their file; itself where it is in none."""
-    together = [one for one in lidars(scene) if one.lidar.in_layout] if lidar.lidar.in_layout else [lidar]
-    return sorted(together, key=lambda one: one.lidar.number)
+    together = (
+        [one for one in lidars(scene) if one.blender_lidar.in_layout] if lidar.blender_lidar.in_layout else [lidar]
+    )
+    return sorted(together, key=lambda one: one.blender_lidar.number)
 
 
 def layout_scenario(
@@ -108,8 +110,11 @@ def layout_scenario(
     check_unit(scene)
     kept = properties.kept_of(scene.blender_lidar)
     tables, changes = dict(kept.tables), properties.changed(kept, fields_of(scene))
-    entries, named = [deployment_table(one, held=one in held) for one in hung], any(one.lidar.in_layout for one in hung)
-    baselines = [json.loads(one.lidar.baseline or "{}") for one in hung]
+    entries, named = (
+        [deployment_table(one, held=one in held) for one in hung],
+        any(one.blender_lidar.in_layout for one in hung),
+    )
+    baselines = [json.loads(one.blender_lidar.baseline or "{}") for one in hung]
     baselines = [{key: table[key] for key in MOUNTED if key in table} for table in baselines]
     if named:
         shared = {key: value for key, value in fields_of(scene)["baseline"].items() if key not in ("x_m", "y_m")}
@@ -132,7 +137,7 @@ def layout_scenario(
     tables |= {"lidar": entries} if named else {"deployment": entries[0]} if hung else {}
     scenario, moved = made(tables), False
     for one, entry, of in zip(hung, entries, scenario.lidars, strict=False):
-        towards = properties.kept_of(one.lidar).tables.get("mast", {}).get("towards")
+        towards = properties.kept_of(one.blender_lidar).tables.get("mast", {}).get("towards")
         if towards is not None and of.deployment.middle_xy != tuple(towards) and not of.deployment.poles:
             entry["facing_deg"] = properties.mounting_of(one).as_table()["facing_deg"]
             moved = True  # the region was, since the LiDAR was loaded; its mast was not turned
@@ -156,7 +161,7 @@ def _sensors_of(hung):
 
 def _sensor_of(lidar):
     """[sensor] of a LiDAR as its file has it, and what its fields change of that."""
-    kept = properties.kept_of(lidar.lidar)
+    kept = properties.kept_of(lidar.blender_lidar)
     changes = properties.changed(kept, {"sensor": sensor_table(lidar)})
     return {"sensor": kept.tables.get("sensor", {})}, changes
 
@@ -214,7 +219,7 @@ def without_field(scene: bpy.types.Scene, lidar: bpy.types.Object | None) -> lis
     """What is kept of the scene file and has no field in the panel, a line for each table."""
     tables = {**properties.kept_of(scene.blender_lidar).tables}
     if lidar is not None:
-        tables["sensor"] = properties.kept_of(lidar.lidar).tables.get("sensor", {})
+        tables["sensor"] = properties.kept_of(lidar.blender_lidar).tables.get("sensor", {})
     shown = {**properties.TABLES, "sensor": ("name", *properties.SENSOR), "region": ("centre_m", "radius_m")}
     lines = []
     for name, table in tables.items():
@@ -230,7 +235,7 @@ def without_field(scene: bpy.types.Scene, lidar: bpy.types.Object | None) -> lis
 
 def sensor_table(lidar: bpy.types.Object) -> dict[str, object]:
     """What a LiDAR's fields say of [sensor]."""
-    group = lidar.lidar
+    group = lidar.blender_lidar
     name = bpy.path.abspath(group.table_path) if group.name_ == properties.OWN else group.name_
     table = {"name": name, **properties.values_of(group, properties.SENSOR)}
     if group.datasheet:
@@ -240,7 +245,7 @@ def sensor_table(lidar: bpy.types.Object) -> dict[str, object]:
 
 def fill_lidar(lidar, tables: Mapping[str, Mapping], folder: str, scenario: Scenario, number: int = 0) -> None:
     """Set a LiDAR's fields to what one of a scene has and searches, and keep [sensor] as the `tables` of it say."""
-    group, scenario = lidar.lidar, scenario.alone(number)
+    group, scenario = lidar.blender_lidar, scenario.alone(number)
     sensor, deployment = asdict(scenario.sensor), scenario.deployment.as_table()
     group.in_layout, group.number = bool(scenario.lidar_name), number
     if sensor["name"] in model_names():
@@ -277,7 +282,7 @@ def deployment_table(lidar: bpy.types.Object, *, held: bool = False) -> dict[str
 
     A coordinate that is as the scene file had it keeps the file's number, which has more digits than Blender holds.
     """
-    group, mounting, kept = lidar.lidar, properties.mounting_of(lidar), properties.kept_of(lidar.lidar)
+    group, mounting, kept = lidar.blender_lidar, properties.mounting_of(lidar), properties.kept_of(lidar.blender_lidar)
     place, road = mounting.as_table(), properties.road_of(properties.scene_of(lidar))
     filed, filled = (of.get("deployment", {}) for of in (kept.tables, kept.fields))
     bounds = {} if held else _bounds_of(group)
@@ -424,7 +429,7 @@ def exact_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, scenario: 
 
 def store(lidar: bpy.types.Object, vehicles: Vehicles, look: Look, baseline: Look) -> None:
     """Keep with a LiDAR what the panel says of a scan: its size and score, and the baseline's."""
-    group = lidar.lidar
+    group = lidar.blender_lidar
     group.points, group.scanned_frame = len(look.cloud), vehicles.frame
     group.scanned_at = list(pose_of(lidar).as_table().values())
     group.vehicles = 0 if look.scored is None else look.scored.values.shape[1]

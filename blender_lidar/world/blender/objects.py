@@ -17,7 +17,7 @@ from ..scenery import Scenery
 
 # --- What an object of ours stands for, kept in a custom property, so that a scene can be read back and shown again -
 
-KEY = "blender_lidar"  # custom property of our objects and collections
+KEY = "blender_lidar_role"  # custom property of our objects and collections
 VEHICLE_ID, SHAPE = "vehicle_id", "shape"  # further ones of vehicles
 VEHICLE, ROAD_ROLE, MARKING, STANDING = "vehicle", "road", "marking", "scenery"
 SENSOR, PART, FAN, CLOUD, STAGE = "lidar", "lidar part", "beam fan", "cloud", "stage"
