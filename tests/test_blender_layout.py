@@ -354,5 +354,5 @@ def test_the_panel_shows_the_layout_its_score_and_both_searches(tmp_path):
         panel.draw_for(panel, drawn, scene, hung["north"])
     texts = list(filter(None, drawn.texts))
     assert texts.count("in_layout") == 2
-    assert {"Optimise Layout", "Optimise north", "north alone:", "Baseline: 2.50 m, tilt 5.0°"} <= set(texts)
+    assert {"Optimize Layout", "Optimize north", "north alone:", "Baseline: 2.50 m, tilt 5.0°"} <= set(texts)
     assert any(text.startswith("Layout of 2: objective") for text in texts)

@@ -6,6 +6,7 @@ Each module has its `classes`, and where it needs more `register`, `unregister`,
 
 import atexit
 import importlib
+import inspect
 
 import bpy
 
@@ -29,12 +30,26 @@ def register() -> None:
     for name in _MODULES:
         module = importlib.import_module(f".{name}", __package__)
         for made in module.classes:
+            _in_own_words(made)
             bpy.utils.register_class(made)
         _registered.append(module)
         for event, call in getattr(module, "app_handlers", {}).items():
             getattr(bpy.app.handlers, event).append(call)
         if hasattr(module, "register"):
             module.register()
+
+
+def _in_own_words(made: type) -> None:
+    """Give a class and its properties the translation context of the add-on: half of a panel in German helps nobody."""
+    from .properties import CONTEXT  # which a Blender that is too old could not import
+
+    made.bl_translation_context = CONTEXT
+    if bpy.app.version < (4, 2):  # where properties have none
+        return
+    for base in made.__mro__:
+        if base.__module__.startswith(__package__):
+            for deferred in inspect.get_annotations(base).values():
+                deferred.keywords["translation_context"] = CONTEXT
 
 
 def unregister() -> None:

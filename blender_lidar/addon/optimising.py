@@ -214,7 +214,7 @@ def begin(scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object, *, alone: 
     scenario = session.layout_scenario(scene, hung, here=False, held=held)
     several, spaces = scenario.further_lidars, scenario.deployment.spaces
     if all(one.is_held for one in scenario.lidars) if several else not all(space.variables for space in spaces):
-        raise InputError("LiDAR panel: Optimise: every coordinate is fixed; switch at least one on")
+        raise InputError("LiDAR panel: Optimize: every coordinate is fixed; switch at least one on")
     return Optimisation(scenario, open_scenery(scene, layer))
 
 
@@ -237,7 +237,7 @@ def found_of(lidar: bpy.types.Object) -> dict[str, Any]:
 class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
     """Search the mounting that sees the vehicles best; Escape stops it"""
 
-    bl_idname, bl_label, bl_options = "blender_lidar.optimize", "Optimise", {"REGISTER"}
+    bl_idname, bl_label, bl_options = "blender_lidar.optimize", "Optimize", {"REGISTER"}
     alone: BoolProperty(description="Search this LiDAR, the others of the layout held as they hang")
 
     @operators.one_line_errors
@@ -260,7 +260,7 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
         lidar = session.active_lidar(context.scene)
         hung = session.layout_of(context.scene, lidar)
         if busy := next((one for one in hung if job_of(one) is not None), None):
-            raise InputError(f"{busy.name}: is being optimised already; Escape stops it")
+            raise InputError(f"{busy.name}: is being optimized already; Escape stops it")
         self._job = begin(context.scene, context.view_layer, lidar, alone=self.alone)
         self._hung = [session.uid_of(one) for one in hung]
         _jobs.update(dict.fromkeys(self._hung, self._job))
@@ -274,7 +274,7 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
         if event.type == "ESC" and event.value == "PRESS":  # its release may come when another one has begun
             self._leave(context)
             self._job.stop()
-            self.report({"INFO"}, "Optimisation stopped")
+            self.report({"INFO"}, "Optimization stopped")
             return {"CANCELLED"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
@@ -288,7 +288,7 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
         there = {session.uid_of(item): item for item in bpy.data.objects}
         if not there.keys() >= set(self._hung):
             self._job.stop()
-            self.report({"WARNING"}, "The LiDAR that was optimised is gone")
+            self.report({"WARNING"}, "The LiDAR that was optimized is gone")
             return {"CANCELLED"}
         return self._ended([there[uid] for uid in self._hung], self._job)
 
@@ -310,7 +310,7 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
             self.report({"ERROR"}, job.problem)
             return {"CANCELLED"}
         keep_result(hung, job)
-        bpy.ops.ed.undo_push(message="Optimise LiDAR")
+        bpy.ops.ed.undo_push(message="Optimize LiDAR")
         folder = found_of(hung[0])["folder"]
         kept = f"in {folder}" if folder.startswith("//") else "until Blender ends, as this file is not saved"
         self.report({"INFO"}, f"{found_lines(hung[0])[0]}; its report is kept {kept}")
@@ -341,7 +341,7 @@ class _NeedsFound:
         """Whether something was found."""
         lidar = session.active_lidar(context.scene)
         if lidar is None or not lidar.blender_lidar.found:
-            cls.poll_message_set("Optimise first")
+            cls.poll_message_set("Optimize first")
             return False
         return True
 
@@ -354,7 +354,7 @@ class _Hangs(_NeedsFound):
         places = found_of(lidar).get("places") or {lidar.name: found_of(lidar)}
         hung = [lidar] if len(places) == 1 else [there.get(name) for name in places]
         if None in hung:
-            raise InputError(f"LiDAR {[*places][hung.index(None)]} of the layout is gone or renamed; optimise again")
+            raise InputError(f"LiDAR {[*places][hung.index(None)]} of the layout is gone or renamed; optimize again")
         for one, of in zip(hung, places.values(), strict=True):
             hang(one, mounting_from(of[self.to], properties.road_of(context.scene)).pose)
         context.view_layer.update()
@@ -362,19 +362,19 @@ class _Hangs(_NeedsFound):
 
 
 class BLENDER_LIDAR_OT_apply(_Hangs, bpy.types.Operator):
-    """Hang the LiDAR where the optimisation found it best, and scan from there"""
+    """Hang the LiDAR where the optimization found it best, and scan from there"""
 
     bl_idname, bl_label, bl_options, to = "blender_lidar.apply", "Apply", {"REGISTER", "UNDO"}, "deployment"
 
 
 class BLENDER_LIDAR_OT_revert(_Hangs, bpy.types.Operator):
-    """Hang the LiDAR where it was before it was optimised, and scan from there"""
+    """Hang the LiDAR where it was before it was optimized, and scan from there"""
 
     bl_idname, bl_label, bl_options, to = "blender_lidar.revert", "Revert", {"REGISTER", "UNDO"}, "before"
 
 
 class BLENDER_LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
-    """Open the page of the last optimisation in the browser"""
+    """Open the page of the last optimization in the browser"""
 
     bl_idname, bl_label = "blender_lidar.open_report", "Open Report"
 
@@ -382,7 +382,7 @@ class BLENDER_LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
         """Open it."""
         page = Path(bpy.path.abspath(found_of(session.active_lidar(context.scene))["folder"])) / "report.html"
         if not page.is_file():
-            self.report({"ERROR"}, f"{page}: is gone; optimise again")
+            self.report({"ERROR"}, f"{page}: is gone; optimize again")
             return {"CANCELLED"}
         bpy.ops.wm.url_open(url=page.as_uri())
         return {"FINISHED"}
@@ -391,7 +391,7 @@ class BLENDER_LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
 # --- The panel --------------------------------------------------------------------------------------------------------
 
 
-@panels.panel("Optimise", panels.BLENDER_LIDAR_PT_main.__name__, bl_order=5)
+@panels.panel("Optimize", panels.BLENDER_LIDAR_PT_main.__name__, bl_order=5)
 class BLENDER_LIDAR_PT_optimize(panels.OfTraffic, bpy.types.Panel):
     """What is searched, how far it is, and what was found."""
 
@@ -403,11 +403,11 @@ class BLENDER_LIDAR_PT_optimize(panels.OfTraffic, bpy.types.Panel):
         for key in properties.SEARCHABLE:
             row = column.row(align=True)
             row.use_property_split = False
-            row.prop(group, f"{key}_on", toggle=True)
+            row.prop(group, f"{key}_on", toggle=True, translate=False)
             if getattr(group, f"{key}_on"):
-                row.prop(group, f"{key}_low", text="")
-                row.prop(group, f"{key}_high", text="")
-        column.prop(group, "poles")
+                row.prop(group, f"{key}_low", text="", translate=False)
+                row.prop(group, f"{key}_high", text="", translate=False)
+        column.prop(group, "poles", translate=False)
         settings = layout.column()
         settings.enabled = job is None
         panels.rows(settings, shared.traffic, "frames", "holdout")
@@ -416,33 +416,30 @@ class BLENDER_LIDAR_PT_optimize(panels.OfTraffic, bpy.types.Panel):
             total = max(job.done, job.total, 1)  # a last climb may come on top
             text = f"{job.done} of {total} mountings" if job.total else f"{job.done} layouts"
             if job.total and hasattr(layout, "progress"):  # from 4.0 on
-                layout.progress(factor=job.done / total, text=text)
+                layout.progress(factor=job.done / total, text=text, translate=False)
             else:
-                layout.label(text=text)
-            layout.label(text="" if job.best is None else f"Best so far {job.best:.2f}")
+                panels.say(layout, text)
+            panels.say(layout, "" if job.best is None else f"Best so far {job.best:.2f}")
             left = job.left_s
-            layout.label(
-                text=""
-                if left is None
-                else f"About {left:.0f} s left"
-                if left < 90
-                else f"About {left / 60:.0f} min left"
+            panels.say(
+                layout,
+                "" if left is None else f"About {left:.0f} s left" if left < 90 else f"About {left / 60:.0f} min left",
             )
-            layout.label(text="Escape stops it.")
+            panels.say(layout, "Escape stops it.")
             return
         together = len(session.layout_of(scene, lidar)) > 1
         for alone in (False, True) if together else (False,):
-            text = f"Optimise {lidar.name if alone else 'Layout'}" if together else "Optimise"
-            layout.operator("blender_lidar.optimize", text=text, icon="VIEWZOOM").alone = alone
+            text = f"Optimize {lidar.name if alone else 'Layout'}" if together else "Optimize"
+            layout.operator("blender_lidar.optimize", text=text, icon="VIEWZOOM", translate=False).alone = alone
         if group.found:
             box = layout.box().column(align=True)
-            box.label(text="Found:")
+            panels.say(box, "Found:")
             for line in found_lines(lidar):
-                box.label(text=line)
+                panels.say(box, line)
             row = layout.row(align=True)
-            row.operator("blender_lidar.apply", icon="CHECKMARK")
-            row.operator("blender_lidar.revert", icon="LOOP_BACK")
-            layout.operator("blender_lidar.open_report", icon="URL")
+            row.operator("blender_lidar.apply", icon="CHECKMARK", translate=False)
+            row.operator("blender_lidar.revert", icon="LOOP_BACK", translate=False)
+            layout.operator("blender_lidar.open_report", icon="URL", translate=False)
 
 
 classes = (

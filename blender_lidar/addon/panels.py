@@ -2,6 +2,7 @@
 
 import json
 import math
+import textwrap
 from pathlib import Path
 
 import bpy
@@ -12,6 +13,7 @@ from ..world.blender.objects import pose_of
 from . import operators, properties, session
 
 _TAB = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "LiDAR"}
+_LETTER, _FRAME = 6.5, 70.0  # width of a letter, and of tabs, margins and an icon beside a text [pixels at scale 1]
 
 
 def panel(name: str, parent: str | None = None, **more: object):
@@ -27,11 +29,21 @@ def panel(name: str, parent: str | None = None, **more: object):
     return made
 
 
+def say(layout: bpy.types.UILayout, text: str, icon: str = "NONE") -> None:
+    """A label that wraps at the width of its region; the icon stands before its first line."""
+    region = bpy.context.region
+    width = region.width / bpy.context.preferences.system.ui_scale if region is not None else 10_000
+    column = layout.column(align=True)
+    for line in textwrap.wrap(text, max(16, int((width - _FRAME) / _LETTER))) or [""]:
+        column.label(text=line, icon=icon, translate=False)
+        icon = "NONE" if icon == "NONE" else "BLANK1"
+
+
 def rows(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup, *keys: str) -> None:
     """A row for each property."""
     column = layout.column()
     for key in keys:
-        column.prop(group, key)
+        column.prop(group, key, translate=False)
 
 
 @panel("LiDAR")
@@ -41,10 +53,10 @@ class BLENDER_LIDAR_PT_main(bpy.types.Panel):
     def draw(self, context):
         """Say what is wrong, and what to do first where nothing is loaded."""
         if context.scene.blender_lidar.problem:
-            self.layout.label(text=context.scene.blender_lidar.problem, icon="ERROR")
+            say(self.layout, context.scene.blender_lidar.problem, icon="ERROR")
         if not operators.has_traffic(context):
-            self.layout.label(text="No traffic is loaded yet.", icon="INFO")
-            self.layout.operator("blender_lidar.load_example", icon="IMPORT")
+            say(self.layout, "No traffic is loaded yet.", icon="INFO")
+            self.layout.operator("blender_lidar.load_example", icon="IMPORT", translate=False)
 
 
 @panel("Traffic", BLENDER_LIDAR_PT_main.__name__)
@@ -55,17 +67,17 @@ class BLENDER_LIDAR_PT_traffic(bpy.types.Panel):
         """File, frame, road and detail."""
         layout, group = self.layout, context.scene.blender_lidar
         layout.use_property_split, layout.use_property_decorate = True, False
-        layout.prop(group.traffic, "path", text="File")
+        layout.prop(group.traffic, "path", text="File", translate=False)
         row = layout.row(align=True)
-        row.operator("blender_lidar.load", icon="FILE_REFRESH")
-        row.operator("blender_lidar.load_example", icon="IMPORT")
+        row.operator("blender_lidar.load", icon="FILE_REFRESH", translate=False)
+        row.operator("blender_lidar.load_example", icon="IMPORT", translate=False)
         if group.loaded:
             row = layout.row(align=True)
-            row.operator("blender_lidar.step_frame", text="", icon="TRIA_LEFT").back = True
-            row.prop(group, "frame", text="Frame")
-            row.operator("blender_lidar.step_frame", text="", icon="TRIA_RIGHT")
-            layout.label(text=f"At {group.at_s:.1f} s")
-        layout.prop(group.world, "detail", text="Vehicles")
+            row.operator("blender_lidar.step_frame", text="", icon="TRIA_LEFT", translate=False).back = True
+            row.prop(group, "frame", text="Frame", translate=False)
+            row.operator("blender_lidar.step_frame", text="", icon="TRIA_RIGHT", translate=False)
+            say(layout, f"At {group.at_s:.1f} s")
+        layout.prop(group.world, "detail", text="Vehicles", translate=False)
 
 
 @panel("Road and File", BLENDER_LIDAR_PT_traffic.__name__, bl_options={"DEFAULT_CLOSED"})
@@ -78,16 +90,16 @@ class BLENDER_LIDAR_PT_road(bpy.types.Panel):
         layout.use_property_split, layout.use_property_decorate = True, False
         rows(layout, group.road, *properties.TABLES["road"])
         rows(layout, group.traffic, "format", "period", "origin_m", "heading_deg", "time_step_s")
-        layout.prop(group.world, "variety")
+        layout.prop(group.world, "variety", translate=False)
         lines = session.without_field(context.scene, session.active_lidar(context.scene))
         region = properties.kept_of(group).tables.get("region", {})
         if not (region.get("polygon_m") or region.get("stretches")):
-            layout.label(text="Vehicles count within")
+            say(layout, "Vehicles count within")
             rows(layout, group.region, "centre_m", "with_gate", *([] if group.region.with_gate else ["radius_m"]))
         if lines:
-            layout.label(text=f"Kept from {Path(group.source).name}:", icon="FILE_TEXT")
+            say(layout, f"Kept from {Path(group.source).name}:", icon="FILE_TEXT")
         for line in lines:
-            layout.label(text=line)
+            say(layout, line)
 
 
 class OfTraffic:
@@ -99,10 +111,10 @@ class OfTraffic:
         layout.use_property_split, layout.use_property_decorate = True, False
         lidar = session.active_lidar(context.scene)
         if not operators.has_traffic(context):
-            layout.label(text="Load traffic first.", icon="INFO")
+            say(layout, "Load traffic first.", icon="INFO")
         elif lidar is None:
-            layout.label(text="Add a LiDAR first: Add > LiDAR.", icon="INFO")
-            layout.operator("blender_lidar.add", icon="ADD")
+            say(layout, "Add a LiDAR first: Add > LiDAR.", icon="INFO")
+            layout.operator("blender_lidar.add", icon="ADD", translate=False)
             return
         layout.enabled = operators.has_traffic(context)
         if lidar is not None:
@@ -119,21 +131,23 @@ class BLENDER_LIDAR_PT_sensor(OfTraffic, bpy.types.Panel):
         for item in session.lidars(scene):
             chosen, row = item == lidar, column.row(align=True)
             icon = "RADIOBUT_ON" if chosen else "RADIOBUT_OFF"
-            row.operator("blender_lidar.select", text=item.name, icon=icon, depress=chosen).name = item.name
-            row.prop(item.blender_lidar, "in_layout", text="")
-        layout.operator("blender_lidar.add", text="Add LiDAR", icon="ADD")
-        layout.prop(lidar.blender_lidar, "name_")
+            row.operator(
+                "blender_lidar.select", text=item.name, icon=icon, depress=chosen, translate=False
+            ).name = item.name
+            row.prop(item.blender_lidar, "in_layout", text="", translate=False)
+        layout.operator("blender_lidar.add", text="Add LiDAR", icon="ADD", translate=False)
+        layout.prop(lidar.blender_lidar, "name_", translate=False)
         if lidar.blender_lidar.name_ == properties.OWN:
-            layout.prop(lidar.blender_lidar, "table_path")
+            layout.prop(lidar.blender_lidar, "table_path", translate=False)
         rows(layout, lidar.blender_lidar, "rotation_hz", "range_gate_m")
         try:
             place = properties.mounting_of(lidar).as_table()
         except BlenderLidarError as error:
-            layout.label(text=str(error), icon="ERROR")
+            say(layout, str(error), icon="ERROR")
             return
         rows(layout, lidar.blender_lidar, *COORDINATES)
         way = "" if place["lean_direction_deg"] is None else f" towards {place['lean_direction_deg']:.0f}°"
-        layout.label(text=f"Lean {place['lean_deg']:.1f}°{way}")
+        say(layout, f"Lean {place['lean_deg']:.1f}°{way}")
 
 
 @panel("Scan", BLENDER_LIDAR_PT_main.__name__)
@@ -144,16 +158,16 @@ class BLENDER_LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
         """Scan, live, colours and noise."""
         group = lidar.blender_lidar
         row = layout.row(align=True)
-        row.operator("blender_lidar.scan", icon="LIGHT_SUN")
-        row.prop(group, "live", toggle=True)
-        layout.prop(group, "colour_by")
-        layout.label(text=f"Own objects: {'preview' if group.live else 'exact'}", icon="MESH_CUBE")
+        row.operator("blender_lidar.scan", icon="LIGHT_SUN", translate=False)
+        row.prop(group, "live", toggle=True, translate=False)
+        layout.prop(group, "colour_by", translate=False)
+        say(layout, f"Own objects: {'preview' if group.live else 'exact'}", icon="MESH_CUBE")
         if group.scanned_frame < 0:
-            layout.label(text="Not scanned yet.")
+            say(layout, "Not scanned yet.")
         else:
-            layout.label(text=f"{group.points:,} points on frame {group.scanned_frame}")
+            say(layout, f"{group.points:,} points on frame {group.scanned_frame}")
             if is_stale(scene, lidar):
-                layout.label(text="Changed since: scan again.", icon="ERROR")
+                say(layout, "Changed since: scan again.", icon="ERROR")
 
 
 @panel("Noise", BLENDER_LIDAR_PT_scan.__name__, bl_options={"DEFAULT_CLOSED"})
@@ -162,7 +176,7 @@ class BLENDER_LIDAR_PT_noise(OfTraffic, bpy.types.Panel):
 
     def draw_for(self, layout, scene, lidar):
         """Its imperfections."""
-        layout.prop(lidar.blender_lidar, "datasheet")
+        layout.prop(lidar.blender_lidar, "datasheet", translate=False)
         own = ("range_noise_m", "range_at_10_percent_m") if lidar.blender_lidar.datasheet else ()
         rows(layout, lidar.blender_lidar, *(key for key in properties.IMPERFECTIONS if key not in own))
 
@@ -199,24 +213,24 @@ class BLENDER_LIDAR_PT_score(OfTraffic, bpy.types.Panel):
     def draw_for(self, layout, scene, lidar):
         """Objective, detectable share and the difference to the baseline."""
         group, shared = lidar.blender_lidar, scene.blender_lidar
-        layout.prop(shared, "metric")
+        layout.prop(shared, "metric", translate=False)
         for line in fused_lines(scene, lidar):
-            layout.label(text=line)
+            say(layout, line)
         if group.scanned_frame >= 0:
             box = layout.box().column(align=True)
             if group.in_layout:
-                box.label(text=f"{lidar.name} alone:")
+                say(box, f"{lidar.name} alone:")
             gain, more = group.objective - group.baseline_objective, group.detectable_share - group.baseline_share
-            box.label(text=f"Objective {group.objective:.2f}")
-            box.label(text=f"Detectable {100 * group.detectable_share:.0f} % of {group.vehicles}")
-            box.label(text=f"Over baseline {gain:+.2f}, {100 * more:+.0f} pp")
+            say(box, f"Objective {group.objective:.2f}")
+            say(box, f"Detectable {100 * group.detectable_share:.0f} % of {group.vehicles}")
+            say(box, f"Over baseline {gain:+.2f}, {100 * more:+.0f} pp")
             if is_stale(scene, lidar):
-                box.label(text="Changed since: scan again.", icon="ERROR")
+                say(box, "Changed since: scan again.", icon="ERROR")
         base = shared.baseline
         own = {"height_m": base.height_m, "tilt_x_deg": math.degrees(base.tilt_x_deg)}
         own |= json.loads(group.baseline or "{}")
-        layout.label(text=f"Baseline: {own['height_m']:.2f} m, tilt {own['tilt_x_deg']:.1f}°")
-        layout.operator("blender_lidar.set_baseline", icon="PINNED")
+        say(layout, f"Baseline: {own['height_m']:.2f} m, tilt {own['tilt_x_deg']:.1f}°")
+        layout.operator("blender_lidar.set_baseline", icon="PINNED", translate=False)
 
 
 @panel("Export", BLENDER_LIDAR_PT_main.__name__, bl_options={"DEFAULT_CLOSED"}, bl_order=9)
@@ -226,15 +240,15 @@ class BLENDER_LIDAR_PT_export(OfTraffic, bpy.types.Panel):
     def draw_for(self, layout, scene, lidar):
         """Clouds, labelled sets, a run folder, a .blend file."""
         column = layout.column(align=True)
-        column.operator("blender_lidar.export_cloud", text="Cloud", icon="EXPORT")
-        column.operator("blender_lidar.export_labelled", text="Labelled Set")
-        column.operator("blender_lidar.export_run", text="Run Folder")
-        column.operator("wm.save_as_mainfile", text="Copy as .blend").copy = True
+        column.operator("blender_lidar.export_cloud", text="Cloud", icon="EXPORT", translate=False)
+        column.operator("blender_lidar.export_labelled", text="Labelled Set", translate=False)
+        column.operator("blender_lidar.export_run", text="Run Folder", translate=False)
+        column.operator("wm.save_as_mainfile", text="Copy as .blend", translate=False).copy = True
 
 
 def add_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     """Add > LiDAR."""
-    menu.layout.operator("blender_lidar.add", icon="LIGHT_SUN")
+    menu.layout.operator("blender_lidar.add", icon="LIGHT_SUN", translate=False)
 
 
 classes = (

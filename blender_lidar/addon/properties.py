@@ -1,7 +1,7 @@
 """The panel's properties, made from the one declaration of each setting: unit, range, default and tooltip.
 
-`Scene.blender_lidar` holds what a scene has once, `Object.blender_lidar` what each LiDAR has. Blender keeps numbers in single
-precision and angles in radians: `values_of` gives them back as they were typed.
+`Scene.blender_lidar` holds what a scene has once, `Object.blender_lidar` what each LiDAR has. Blender keeps numbers in
+single precision and angles in radians: `values_of` gives them back as they were typed.
 """
 
 # Not from __future__ import annotations: Blender reads properties from annotations as they are.
@@ -34,6 +34,7 @@ from ..sensors.model import model_names
 from ..toml_table import Setting, limits_text
 from ..world.blender.objects import hang, lidars, pose_of
 
+CONTEXT = "blender_lidar"  # of translation: Blender's dictionary has none of it, so that what we draw stays whole
 SCHEMA = 1  # of what is saved in a .blend file
 _DIGITS = 6  # that single precision keeps of a number
 _POSE_DIGITS = 4  # of metres and degrees: it keeps these within a kilometre
@@ -294,7 +295,7 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
         name="Frame", update=_changed("frame"), description="Number of the frame of traffic that is shown"
     )
     at_s: FloatProperty(name="Time", unit="TIME", options={"HIDDEN"}, description="Time of the frame in its recording")
-    active: StringProperty(name="LiDAR", description="The LiDAR that is scanned, scored and optimised")
+    active: StringProperty(name="LiDAR", description="The LiDAR that is scanned, scored and optimized")
     fused: StringProperty(options={"HIDDEN"}, description="What the layout is worth on the frame scanned last, as JSON")
     hung_on: StringProperty(
         default="{}", options={"HIDDEN"}, description="The road beside which the LiDARs hang, as JSON"
@@ -420,16 +421,16 @@ class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
     in_layout: BoolProperty(
         name="In Layout",
         update=_changed("layout"),
-        description="Score and optimise this LiDAR together with the others that are in the layout",
+        description="Score and optimize this LiDAR together with the others that are in the layout",
     )
     number: IntProperty(default=99, options={"HIDDEN"}, description="Its place in the scene file's list of LiDARs")
     baseline: StringProperty(options={"HIDDEN"}, update=_changed("baseline"), description="Its own in a layout: JSON")
     colour_by: EnumProperty(
-        name="Colour by",
+        name="Color by",
         update=_changed("look"),
         default="range",
         items=[(key, key.capitalize(), "") for key in ("range", "ring", "vehicle", "intensity", "entropy")],
-        description="Quantity that colours the points",
+        description="Quantity that colors the points",
     )
     poles: StringProperty(
         name="Poles", description="CSV of candidate places that are searched, in place of X and Y", **_PATH
@@ -442,7 +443,7 @@ class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
     detectable_share: FloatProperty(options={"HIDDEN"})
     baseline_objective: FloatProperty(options={"HIDDEN"})
     baseline_share: FloatProperty(options={"HIDDEN"})
-    found: StringProperty(options={"HIDDEN"}, description="What an optimisation has found, as JSON")
+    found: StringProperty(options={"HIDDEN"}, description="What an optimization has found, as JSON")
 
 
 BLENDER_LIDAR_PG_lidar.__annotations__ |= _annotations("sensor", SENSOR)
