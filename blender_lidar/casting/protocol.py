@@ -424,13 +424,16 @@ class StandingScenery:
         distance : ndarray, (k,)
             How far along each [m].
         surface : ndarray of uint8, (k,)
-            What it is made of, an index into `world.meshes.SURFACES`.
+            What it is made of, an index into `world.meshes.REFLECTIVITY`.
         cosine : ndarray, (k,)
             Of the incidence on it.
+        label : ndarray of int32, (k,)
+            Number of its label, -1 where it has none.
         """
         found = self.tree.meet(origin, directions, reach_m)
         cosine = np.abs(dot(self.tree.normals(found.triangle).T, directions[found.ray].T))
-        return found.ray, found.distance, self.scenery.surface[found.triangle], cosine
+        surface, label = (of[found.triangle] for of in (self.scenery.surface, self.scenery.label))
+        return found.ray, found.distance, surface, cosine, label
 
     def hides(self, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """Occlusion test: whether something stands nearer than a distance along rays, (n,) bool.

@@ -16,6 +16,7 @@ from ..scoring.frame_scorer import FrameShapes
 from ..sensors.pose import Pose
 from ..traffic.vehicles import CLASSES, Vehicles
 from ..world.meshes import GLASS, REFLECTIVITY, ROAD
+from ..world.scenery import NO_LABEL
 from ..world.triangles import STATIC
 
 NO_CLASS = -1
@@ -48,6 +49,8 @@ class PointCloud:
         Lambert's law by surface class, falling with the square of the range, 0 to 1.
     lidar : ndarray of uint8, (n,)
         Number of the LiDAR in the order of its layout; 0 where there is one.
+    label : ndarray of int32, (n,)
+        Number of the label of the user's own object that was met, -1 for anything else, as all have where left out.
     """
 
     xyz: np.ndarray
@@ -60,6 +63,11 @@ class PointCloud:
     incidence_rad: np.ndarray
     intensity: np.ndarray
     lidar: np.ndarray
+    label: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        if self.label is None:
+            object.__setattr__(self, "label", np.full(len(self.xyz), NO_LABEL, np.int32))
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -85,7 +93,7 @@ class Turn(NamedTuple):
         What they would meet of the vehicles, were there nothing else.
     directions : ndarray, (b, 3)
         Unit vectors of all beams [road frame].
-    standing : tuple of (ndarray, ndarray, ndarray, ndarray)
+    standing : tuple of tuples of ndarray
         What they would meet of each that stands still: as from `StandingScenery.met`.
     """
 
@@ -139,8 +147,8 @@ class FrameScan:
     def cloud(self, pose: Pose, turn: Turn) -> PointCloud:
         """What a mounting measures of what its beams met."""
         seen, shapes, vehicles, directions = self._seen, self._shapes, self._vehicles, turn.directions
-        met = [np.full(len(directions), value) for value in (np.inf, STATIC, ROAD, 1.0)]  # by each beam, so far
-        distance, owner, surface, cosine = met
+        met = [np.full(len(directions), value) for value in (np.inf, STATIC, ROAD, 1.0, NO_LABEL)]  # by beam, so far
+        distance, owner, surface, cosine, label = met
 
         def meet(beam, *found):
             for column, values in zip(met, found, strict=True):
@@ -148,16 +156,16 @@ class FrameScan:
 
         hits = turn.vehicles
         facing = np.abs(dot(shapes.tree.normals(hits.triangle).T, hits.directions))
-        meet(hits.beam, hits.distance, shapes.owner[hits.triangle], shapes.surface[hits.triangle], facing)
-        for beam, away, made_of, facing in turn.standing:
+        meet(hits.beam, hits.distance, shapes.owner[hits.triangle], shapes.surface[hits.triangle], facing, NO_LABEL)
+        for beam, away, made_of, facing, labelled in turn.standing:
             first = away < distance[beam]
-            meet(beam[first], away[first], STATIC, made_of[first], facing[first])
+            meet(beam[first], away[first], STATIC, made_of[first], facing[first], labelled[first])
         if self._ground:  # the plane z = 0: exact, where a mesh would leak
             down = -directions[:, 2]
             with np.errstate(divide="ignore", over="ignore"):
                 to_ground = np.where(down > 0.0, pose.height_m / down, np.inf)
             first = (to_ground < distance) & (to_ground <= self._reach_m)
-            meet(first, to_ground[first], STATIC, ROAD, down[first])
+            meet(first, to_ground[first], STATIC, ROAD, down[first], NO_LABEL)
 
         every = np.arange(len(distance))
         measured = self._model.measured(every, distance, surface == GLASS, REFLECTIVITY[surface], cosine)
@@ -174,6 +182,7 @@ class FrameScan:
             incidence_rad=np.arccos(np.clip(cosine[kept], 0.0, 1.0)),
             intensity=REFLECTIVITY[surface[kept]] * cosine[kept] * _fall(distance[kept]),
             lidar=np.zeros(len(kept), dtype=np.uint8),
+            label=label[kept].astype(np.int32),
         )
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections import ChainMap
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -76,6 +77,7 @@ def _extruded(section, y_m, x_m) -> np.ndarray:
 # --- What stands still and hides vehicles: boxes, barriers, and the meshes of a site, as triangles in the road frame -
 
 
+NO_LABEL = -1
 SURFACE = "carriageway of [road]"  # the name of its surface, where that is not the plane z = 0
 
 
@@ -90,15 +92,25 @@ class Scenery:
     owner : ndarray of int32, (m,)
         Row in `names` of the object that a triangle belongs to.
     surface : ndarray of uint8, (m,)
-        Index into `meshes.SURFACES`.
+        Index into `meshes.REFLECTIVITY`.
     names : tuple of str
         The objects.
+    label : ndarray of int32, (m,)
+        Number of each triangle's label, -1 where it has none, as all have where it is left out.
+    labels : mapping of int to str
+        The names of labels.
     """
 
     corners: np.ndarray
     owner: np.ndarray
     surface: np.ndarray
     names: tuple[str, ...]
+    label: np.ndarray | None = None
+    labels: Mapping[int, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.label is None:
+            object.__setattr__(self, "label", np.full(len(self.corners), NO_LABEL, np.int32))
 
     def __len__(self) -> int:
         return len(self.corners)
@@ -107,7 +119,7 @@ class Scenery:
     def digest(self) -> str:
         """SHA-256 of its triangles: what it hides depends on nothing else."""
         content = hashlib.sha256()
-        for array in (self.corners, self.owner, self.surface):
+        for array in (self.corners, self.owner, self.surface, *([self.label] if self.labels else [])):
             content.update(np.ascontiguousarray(array).tobytes())
         return content.hexdigest()
 
@@ -115,12 +127,15 @@ class Scenery:
     def beside_road(self) -> Scenery:
         """What of it is not the crowned carriageway."""
         kept = np.array([name != SURFACE for name in self.names], dtype=bool)[self.owner]
-        return Scenery(self.corners[kept], self.owner[kept], self.surface[kept], self.names)
+        return self._only(kept)
 
     def within(self, centre_xy: tuple[float, float], radius_m: float) -> Scenery:
         """What of it may lie within a horizontal distance of a place [m]: triangles whose bounding box does."""
-        kept = boxes_reach(self.corners, centre_xy, radius_m)
-        return Scenery(self.corners[kept], self.owner[kept], self.surface[kept], self.names)
+        return self._only(boxes_reach(self.corners, centre_xy, radius_m))
+
+    def _only(self, kept: np.ndarray) -> Scenery:
+        columns = {name: getattr(self, name)[kept] for name in ("corners", "owner", "surface", "label")}
+        return replace(self, **columns)
 
 
 def boxes_reach(corners: np.ndarray, centre_xy: tuple[float, float], radius_m: float) -> np.ndarray:
@@ -158,4 +173,6 @@ def join(parts: Iterable[Scenery]) -> Scenery:
         np.concatenate([part.owner + start for part, start in zip(parts, first, strict=True)]).astype(np.int32),
         np.concatenate([part.surface for part in parts]),
         tuple(name for part in parts for name in part.names),
+        np.concatenate([part.label for part in parts]),
+        dict(ChainMap(*(part.labels for part in parts))),
     )

@@ -15,6 +15,7 @@ import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
+from ..scenery import NO_LABEL
 from .site import arrays_of, is_own, visible_instances
 
 _TURN = 2.0 * np.pi
@@ -86,7 +87,7 @@ class VisibleObjects:
             nearest[some], met[some], surface[some] = distance, True, mesh.surface[face]
             cosine[some] = np.abs(np.einsum("ij,ij->i", normal, directions[some]))
         ray = np.flatnonzero(met)
-        return ray, nearest[ray], surface[ray], cosine[ray]
+        return ray, nearest[ray], surface[ray], cosine[ray], np.full(len(ray), NO_LABEL, np.int32)
 
 
 class _ByAzimuth:
