@@ -1,4 +1,4 @@
-"""Handlers of events: files that are opened, frames that are chosen, LiDARs that are duplicated."""
+"""Handlers of events: files that are opened, the timeline, LiDARs that are duplicated."""
 
 import bpy
 from bpy.app.handlers import persistent
@@ -38,7 +38,7 @@ def adopt_all() -> None:
 
 
 def on_change(block: bpy.types.ID, table: str) -> None:
-    """Show another frame, hang LiDARs beside another road, or dress one as its new model.
+    """Show another moment, hang LiDARs beside another road, or dress one as its new model.
 
     What is wrong stands at the top of the tab.
     """
@@ -48,11 +48,8 @@ def on_change(block: bpy.types.ID, table: str) -> None:
     group = scene.blender_lidar
     group.problem = ""
     try:
-        if table == "frame" and group.loaded:
-            recording = session.recording_of(scene)
-            with properties.silently():
-                group.frame = session.nearest_frame(recording, group.frame)
-            operators.show_frame(scene, session.vehicles_of(scene))
+        if table == "clock" and group.loaded:
+            operators.show_moment(scene)
         elif table == "road":
             properties.hang_again(scene)
         elif table == "sensor" and block != scene:
@@ -61,7 +58,17 @@ def on_change(block: bpy.types.ID, table: str) -> None:
         group.problem = str(error)
 
 
-app_handlers = {"load_post": on_load, "depsgraph_update_post": on_update}
+@persistent
+def on_time(scene, *_) -> None:
+    """Show the vehicles of another time, before Blender evaluates it."""
+    if scene.blender_lidar.loaded:
+        try:
+            operators.show_moment(scene)
+        except BlenderLidarError as error:
+            scene.blender_lidar.problem = str(error)
+
+
+app_handlers = {"load_post": on_load, "depsgraph_update_post": on_update, "frame_change_pre": on_time}
 
 
 def register() -> None:

@@ -122,13 +122,14 @@ def _open_scenes() -> list[tuple[bpy.types.Scene, bpy.types.ViewLayer]]:
 def _update_one(scene, lidar, shown, objects) -> bool:
     """Look from a LiDAR unless it was looked at as it is now; whether that was done."""
     group, mounting = lidar.blender_lidar, properties.mounting_of(lidar)
-    now = mounting, scene.blender_lidar.frame, objects.state, group.colour_by
+    now = mounting, session.since_of(scene), objects.state, group.colour_by
     if now == shown.seen:
         return False
     shown.seen = now
     vehicles = session.vehicles_of(scene)
     frame = shown.frame
-    if frame is None or frame.frame.vehicles.frame != vehicles.frame or session.dragged_off(lidar, mounting):
+    same = frame is not None and session.moment_key(frame.frame.vehicles) == session.moment_key(vehicles)
+    if not same or session.dragged_off(lidar, mounting):
         shown.scenario, shown.baseline = session.scenario_from(scene, lidar), None
         frame = shown.frame = session.live_frame(scene, lidar)
     if shown.baseline is None:

@@ -24,7 +24,7 @@ from ..scene.site import lattice_of, prepare, read_recordings, standing_scenery
 from ..sensors.pose import Pose
 from ..toml_table import read_toml
 from ..traffic import Recording
-from ..traffic.vehicles import Vehicles
+from ..traffic.vehicles import SAME_S, Vehicles
 from ..world.blender.objects import (
     PART,
     SENSOR,
@@ -97,15 +97,14 @@ def show_traffic(scene: bpy.types.Scene, recording: Recording, frame: int, scene
     build_scenery(scene, scenery)
     for item in collection(scene, "Scenery", STANDING).objects:
         item.hide_select = True  # it shows what the file says; moving it would move nothing that is scanned
-    with properties.silently():
-        group.loaded, group.frame = True, session.nearest_frame(recording, frame)
-    show_frame(scene, recording.vehicles(group.frame))
+    group.loaded = True
+    session.start_clock(scene, recording, frame)
+    show_moment(scene)
 
 
-def show_frame(scene: bpy.types.Scene, vehicles: Vehicles) -> None:
-    """Show the vehicles of a frame."""
-    show_vehicles(scene, vehicles, scene.blender_lidar.world.detail)
-    scene.blender_lidar.at_s = vehicles.time_s
+def show_moment(scene: bpy.types.Scene) -> None:
+    """Show the vehicles of the timeline's time."""
+    show_vehicles(scene, session.vehicles_of(scene), scene.blender_lidar.world.detail)
 
 
 class BLENDER_LIDAR_OT_load(bpy.types.Operator):
@@ -179,7 +178,7 @@ def _loaded(operator, recording):
 
 
 class BLENDER_LIDAR_OT_step_frame(NeedsTraffic, bpy.types.Operator):
-    """Show the next or the previous frame of the recording"""
+    """Move the timeline to the next or the previous instant of the recording"""
 
     bl_idname, bl_label, bl_options = "blender_lidar.step_frame", "Step", {"REGISTER", "UNDO"}
     back: BoolProperty(default=False, options={"SKIP_SAVE"})
@@ -188,9 +187,12 @@ class BLENDER_LIDAR_OT_step_frame(NeedsTraffic, bpy.types.Operator):
     def execute(self, context):
         """Go there."""
         scene = context.scene
-        frames = session.recording_of(scene).frames
-        at = int(frames.searchsorted(scene.blender_lidar.frame)) + (-1 if self.back else 1)
-        scene.blender_lidar.frame = int(frames[min(max(at, 0), len(frames) - 1)])
+        recording, now_s = session.recording_of(scene), session.since_of(scene)
+        if self.back:
+            at = recording.since_s.searchsorted(now_s - SAME_S) - 1
+        else:
+            at = recording.since_s.searchsorted(now_s + SAME_S, side="right")
+        session.show_frame(scene, int(recording.frames[min(max(at, 0), len(recording.frames) - 1)]))
         return {"FINISHED"}
 
 
@@ -293,7 +295,9 @@ def _fill_from(scene):
         session.fill_scene(scene, *stored)
         properties.hang_as_they_are(scene)
         traffic = stored[-1].traffic
-        group.loaded, group.frame = Path(traffic.path).is_file(), json.loads(scene[SETTINGS])["frame"]
+        told = json.loads(scene[SETTINGS])
+        group.known_frame, group.starts_s = told["frame"], told["starts_s"]
+        group.loaded = Path(traffic.path).is_file()
 
 
 # --- Scan and score ---------------------------------------------------------------------------------------------------
@@ -329,7 +333,8 @@ class BLENDER_LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
             show_cloud(lidar, vertices_of(look.cloud, vehicles, bits), lidar.blender_lidar.colour_by)
             session.store(lidar, vehicles, look, base)
             scored = "" if look.scored is None else f", objective {lidar.blender_lidar.objective:.2f}"
-            told.append(f"{lidar.name}: {lidar.blender_lidar.points:,} points on frame {vehicles.frame}{scored}")
+            points = f"{lidar.blender_lidar.points:,} points"
+            told.append(f"{lidar.name}: {points} at {lidar.blender_lidar.scanned_s:.2f} s{scored}")
         self.report({"INFO"}, "; ".join(told))
         return {"FINISHED"}
 

@@ -9,6 +9,7 @@ import bpy
 
 from ..errors import BlenderLidarError
 from ..scene.mounting import COORDINATES
+from ..traffic.vehicles import SAME_S
 from ..world.blender.objects import pose_of
 from . import operators, properties, session
 
@@ -74,9 +75,10 @@ class BLENDER_LIDAR_PT_traffic(bpy.types.Panel):
         if group.loaded:
             row = layout.row(align=True)
             row.operator("blender_lidar.step_frame", text="", icon="TRIA_LEFT", translate=False).back = True
-            row.prop(group, "frame", text="Frame", translate=False)
+            row.prop(group, "frame", translate=False)
             row.operator("blender_lidar.step_frame", text="", icon="TRIA_RIGHT", translate=False)
-            say(layout, f"At {group.at_s:.1f} s")
+            say(layout, session.time_text(context.scene))
+            layout.prop(group, "starts_s", translate=False)
         layout.prop(group.world, "detail", text="Vehicles", translate=False)
 
 
@@ -165,7 +167,7 @@ class BLENDER_LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
         if group.scanned_frame < 0:
             say(layout, "Not scanned yet.")
         else:
-            say(layout, f"{group.points:,} points on frame {group.scanned_frame}")
+            say(layout, f"{group.points:,} points at {group.scanned_s:.2f} s")
             if is_stale(scene, lidar):
                 say(layout, "Changed since: scan again.", icon="ERROR")
 
@@ -182,14 +184,14 @@ class BLENDER_LIDAR_PT_noise(OfTraffic, bpy.types.Panel):
 
 
 def is_stale(scene: bpy.types.Scene, lidar: bpy.types.Object) -> bool:
-    """Whether the LiDAR or the frame is another than when it was scanned."""
+    """Whether the LiDAR or the time is another than when it was scanned."""
     group = lidar.blender_lidar
     try:
         pose = pose_of(lidar).as_table().values()
     except BlenderLidarError:
         return True
     moved = any(abs(a - b) > 1e-3 for a, b in zip(pose, group.scanned_at, strict=True))
-    return moved or group.scanned_frame != scene.blender_lidar.frame
+    return moved or abs(group.scanned_s - session.since_of(scene)) > SAME_S
 
 
 def fused_lines(scene: bpy.types.Scene, lidar: bpy.types.Object) -> list[str]:

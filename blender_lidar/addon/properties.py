@@ -276,6 +276,18 @@ class BLENDER_LIDAR_PG_region(bpy.types.PropertyGroup):
         }
 
 
+def _shown_frame(group):
+    from . import session
+
+    return session.shown_frame(group.id_data)
+
+
+def _show_frame(group, value):
+    from . import session
+
+    session.show_frame(group.id_data, value)
+
+
 class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
     """What the sidebar's tab shows of a scene."""
 
@@ -292,9 +304,19 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
         description=DECLARED["objective"]["metric"].help,
     )
     frame: IntProperty(
-        name="Frame", update=_changed("frame"), description="Number of the frame of traffic that is shown"
+        name="Instant",
+        get=_shown_frame,
+        set=_show_frame,
+        description="Number of the recorded instant that is nearest to the timeline; another one moves the timeline",
     )
-    at_s: FloatProperty(name="Time", unit="TIME", options={"HIDDEN"}, description="Time of the frame in its recording")
+    known_frame: IntProperty(options={"HIDDEN"}, description="The same when the traffic was last looked at")
+    starts_s: FloatProperty(
+        name="Starts At",
+        unit="TIME",
+        subtype="TIME_ABSOLUTE",
+        update=_changed("clock"),
+        description="Second of the timeline at which the recording begins",
+    )
     active: StringProperty(name="LiDAR", description="The LiDAR that is scanned, scored and optimized")
     fused: StringProperty(options={"HIDDEN"}, description="What the layout is worth on the frame scanned last, as JSON")
     hung_on: StringProperty(
@@ -436,6 +458,7 @@ class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
         name="Poles", description="CSV of candidate places that are searched, in place of X and Y", **_PATH
     )
     scanned_frame: IntProperty(default=-1, options={"HIDDEN"})
+    scanned_s: FloatProperty(options={"HIDDEN"}, description="Time since the recording's beginning that was scanned")
     scanned_at: FloatVectorProperty(size=6, options={"HIDDEN"})
     points: IntProperty(options={"HIDDEN"})
     vehicles: IntProperty(options={"HIDDEN"})

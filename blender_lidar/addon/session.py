@@ -30,11 +30,13 @@ from ..scene.scenario import Scenario, scenario_of
 from ..scene.settings import DATASHEET, GATE, SensorSettings, is_sensor_file
 from ..scene.site import observation_of, read_recordings, scoring_of, standing_scenery
 from ..sensors.model import model_names
-from ..traffic import Recording, Vehicles, instants, joined_recordings
+from ..traffic import Recording, Vehicles, joined_recordings
+from ..traffic.vehicles import SAME_S
 from ..world.blender.objects import is_lidar, lidars, pose_of
 from ..world.blender.site import open_scenery
 from . import properties
 
+_SAME_FRAME = 1e-3  # of the timeline
 _SAME_M, _SAME_ROTATION = 2e-4, 1e-5  # nearer, a LiDAR hangs as it was hung
 _RECORDINGS: dict[str, tuple[str, list[Recording], Recording]] = {}  # by scene: what they were read with, and as one
 _OBJECTS: dict[str, tuple[tuple[str, str], StandingScenery]] = {}  # by scene: the user's own
@@ -351,21 +353,74 @@ def _stamp(path: str) -> tuple[int, int] | None:
     return status.st_size, status.st_mtime_ns
 
 
+# --- The clock: the timeline ------------------------------------------------------------------------------------------
+
+
+def seconds_of(scene: bpy.types.Scene) -> float:
+    """The time that a scene's timeline shows [s], as the node *Scene Time* has it."""
+    return scene.frame_current_final * scene.render.fps_base / scene.render.fps
+
+
+def since_of(scene: bpy.types.Scene) -> float:
+    """The time since the recording's first instant that the timeline shows [s]."""
+    return seconds_of(scene) - scene.blender_lidar.starts_s
+
+
 def vehicles_of(scene: bpy.types.Scene) -> Vehicles:
-    """The vehicles of the frame that a scene shows.
+    """The vehicles at the timeline's time: a recorded instant's, or between two of them; none in a gap.
 
     Raises
     ------
-    InputError
-        For a frame that the recording does not have.
+    BlenderLidarError
+        Where the traffic cannot be read.
     """
-    return recording_of(scene).vehicles(scene.blender_lidar.frame)
+    return recording_of(scene).moment(since_of(scene))
 
 
-def nearest_frame(recording: Recording, frame: int) -> int:
-    """The frame of a recording that is nearest to a number."""
-    whole = instants(recording)
-    return int(whole[abs(whole - frame).argmin()])
+def shown_frame(scene: bpy.types.Scene) -> int:
+    """Number of the instant nearest to the timeline; of traffic that has not been read yet the last one known."""
+    group = scene.blender_lidar
+    if uid_of(scene) in _RECORDINGS and group.loaded:
+        return _RECORDINGS[uid_of(scene)][-1].moment(since_of(scene)).frame
+    return group.known_frame
+
+
+def show_frame(scene: bpy.types.Scene, frame: int) -> None:
+    """Move the timeline to the recorded instant whose number is nearest.
+
+    Raises
+    ------
+    BlenderLidarError
+        Where the traffic cannot be read.
+    """
+    group = scene.blender_lidar
+    if group.loaded:
+        recording = recording_of(scene)
+        at = abs(recording.frames - frame).argmin()
+        number = (group.starts_s + recording.since_s[at]) * scene.render.fps / scene.render.fps_base
+        whole = math.floor(number + _SAME_FRAME)
+        scene.frame_set(whole, subframe=max(number - whole, 0.0))
+        frame = int(recording.frames[at])
+    group.known_frame = frame
+
+
+def start_clock(scene: bpy.types.Scene, recording: Recording, frame: int) -> None:
+    """Let the timeline's present time be that of the instant of a recording whose number is nearest."""
+    at = abs(recording.frames - frame).argmin()
+    with properties.silently():
+        scene.blender_lidar.starts_s = seconds_of(scene) - recording.since_s[at]
+    scene.blender_lidar.known_frame = int(recording.frames[at])
+
+
+def time_text(scene: bpy.types.Scene) -> str:
+    """What the panel says of the timeline's time: whether an instant is there, or any traffic."""
+    text, since_s = f"At {since_of(scene):.2f} s", since_of(scene)
+    if uid_of(scene) not in _RECORDINGS:
+        return text
+    recording = _RECORDINGS[uid_of(scene)][-1]
+    if abs(recording.since_s - since_s).min() <= SAME_S:
+        return text
+    return f"{text}, {'between instants' if len(recording.moment(since_s)) else 'no traffic at this time'}"
 
 
 # --- Frames kept ready ------------------------------------------------------------------------------------------------
@@ -386,12 +441,17 @@ def live_frame(scene: bpy.types.Scene, lidar: bpy.types.Object, *, exact: bool =
     scenario, mounting = whole.alone(hung.index(lidar)), layout[hung.index(lidar)]
     tables, stamps = scenario.as_tables(), [_stamp(path) for path in scenario.files.values()]
     tables = {name: tables[name] for name in tables if name not in ("deployment", "search", "lidar")}
-    of = repr((tables, scenario.lidar_name, vehicles.frame, stamps))
+    of = repr((tables, scenario.lidar_name, moment_key(vehicles), stamps))
     about = repr((layout, [one.deployment for one in whole.lidars])) if exact and scenario.world.clutter else ""
     before = _FRAMES.get(key)
     if before is None or before[0] != of or (about and before[1] != about) or dragged_off(lidar, mounting):
         _FRAMES[key] = of, about, mounting, _made_ready(scenario, vehicles, whole, layout)
     return _FRAMES[key][-1]
+
+
+def moment_key(vehicles: Vehicles) -> tuple[int, float, int]:
+    """What tells moments of a recording apart."""
+    return vehicles.frame, vehicles.time_s, len(vehicles)
 
 
 def dragged_off(lidar: bpy.types.Object, mounting: Mounting) -> bool:
@@ -431,6 +491,7 @@ def store(lidar: bpy.types.Object, vehicles: Vehicles, look: Look, baseline: Loo
     """Keep with a LiDAR what the panel says of a scan: its size and score, and the baseline's."""
     group = lidar.blender_lidar
     group.points, group.scanned_frame = len(look.cloud), vehicles.frame
+    group.scanned_s = since_of(properties.scene_of(lidar))
     group.scanned_at = list(pose_of(lidar).as_table().values())
     group.vehicles = 0 if look.scored is None else look.scored.values.shape[1]
     for scored, objective, share in (

@@ -6,6 +6,7 @@ import argparse
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -159,6 +160,7 @@ def run_build(args: argparse.Namespace) -> int:
     sensors, recording, frames = _asked(args, scenario, sorted(set(numbers)))
     detections = _detections(args.detections, [sensor.mounting for sensor in sensors])
     moment = fused_moment(scenario, sensors, frames[0], with_cloud=not args.no_cloud, detections=detections)
+    moment = replace(moment, since_s=float(recording.since_s[recording.frames.searchsorted(frames[0].frame)]))
     scene.save_blend(args.out, moment, frames if animated else (), recording.time_step_s)
     clouds = [] if args.no_cloud else [len(one.points["xyz"]) for one in (moment, *moment.further)]
     points = f"{sum(clouds)} points" if clouds else "no cloud"

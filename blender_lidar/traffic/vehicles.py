@@ -146,6 +146,11 @@ def fleet_kind(class_index: np.ndarray, length_m: np.ndarray) -> np.ndarray:
     return np.where(is_long, len(CLASSES), class_index)
 
 
+SAME_S = 1e-3
+"""A moment this near to an instant of a recording [s] is that instant."""
+_LONGEST_S = 1.0  # from one instant to the next, in between which vehicles are taken to move evenly
+_PAUSE_S = 5.0  # before a recording that begins earlier than the one before it has ended
+
 _COLUMNS = {
     "vehicle_id": np.int64,
     "class_index": np.int8,
@@ -311,6 +316,57 @@ class Recording:
         rows = slice(self._bounds[at], self._bounds[at + 1])
         columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
         return Vehicles(frame=int(frame), time_s=float(self.frame_time_s[at]), **columns)
+
+    @cached_property
+    def since_s(self) -> np.ndarray:
+        """Time of each of `frames` since the first, (k,) float64 [s], ascending: the clock by which it is played.
+
+        Of several recordings one that has an earlier time than the one before follows it after a pause of 5 s.
+        """
+        step = np.diff(self.frame_time_s)
+        later = np.cumsum(np.where(step > 0.0, 0.0, _PAUSE_S - step))
+        return self.frame_time_s - self.frame_time_s[:1] + np.append(np.zeros(len(self.frames[:1])), later)
+
+    @cached_property
+    def next_row(self) -> np.ndarray:
+        """Row in which each box's vehicle is in the next of `frames`, (n,) int64; -1: not there, or over 1 s later."""
+        order = np.lexsort((self.frame, self.vehicle_id))
+        at, found = np.searchsorted(self.frames, self.frame)[order], np.full(len(self), -1)
+        goes_on = (np.diff(self.vehicle_id[order]) == 0) & (np.diff(at) == 1)
+        goes_on &= np.diff(self.since_s[at]) <= _LONGEST_S + SAME_S
+        found[order[:-1][goes_on]] = order[1:][goes_on]
+        return found
+
+    def moment(self, since_s: float) -> Vehicles:
+        """The vehicles at any time on the clock of `since_s`, between two instants by linear interpolation.
+
+        Within `SAME_S` of an instant these are its rows as they were recorded. Between two that are at most 1 s apart
+        vehicles that are in both move evenly and turn the shorter way; in a gap there are none.
+
+        Parameters
+        ----------
+        since_s : float
+            Time since the first instant [s].
+
+        Returns
+        -------
+        Vehicles
+            `frame` is the number of the nearest instant, `time_s` the moment's own time.
+        """
+        clock = self.since_s
+        at = max(int(np.searchsorted(clock, since_s + SAME_S, side="right")) - 1, 0)
+        near = at + int(at + 1 < len(clock) and clock[at + 1] - since_s < since_s - clock[at])
+        nearest = self.vehicles(self.frames[near])
+        if abs(since_s - clock[near]) <= SAME_S:
+            return nearest
+        rows = np.arange(self._bounds[at], self._bounds[at + 1])
+        rows = rows[(self.next_row[rows] >= 0) & (since_s > clock[at])]
+        after, passed = self.next_row[rows], (since_s - clock[at]) / max(np.diff(clock[at : at + 2]).sum(), SAME_S)
+        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
+        columns["centre_m"] += passed * (self.centre_m[after] - columns["centre_m"])
+        turn = wrap_angle(self.heading_rad[after] - columns["heading_rad"])
+        columns["heading_rad"] = wrap_angle(columns["heading_rad"] + passed * turn)
+        return Vehicles(frame=nearest.frame, time_s=nearest.time_s + since_s - float(clock[near]), **columns)
 
 
 def unknown_frame(frame: int, recording: Recording) -> InputError:

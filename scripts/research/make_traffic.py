@@ -5,6 +5,9 @@ The output has the layout of the NGSIM portal's CSV (feet, front centres, lane 1
 
     pip install "blender_lidar[sumo]"
     python scripts/research/make_traffic.py --out scenes/i80_sample.csv.gz
+    python scripts/research/make_traffic.py --dense-s 250 270 --out scenes/i80_drive.csv.gz
+
+The second is 20 s of the same simulation, an instant every 0.5 s: what the add-on plays in its example.
 
 Same seed and same version of SUMO, same file (the shipped one: seed 42, SUMO 1.28.0). Global_X/Y are the local frame
 turned by the road's bearing at the entry; the road is straight, where the real one bends by 2 degrees.
@@ -333,8 +336,18 @@ def whole_steps(value_s: float, option: str) -> int:
     return steps
 
 
-def make_traffic(level: Level, seed: int, minutes: float, every_s: float, neighbour_s: float) -> pd.DataFrame:
-    """NGSIM table of an instant every `every_s` and, `neighbour_s` before and after it, its two neighbours."""
+def make_traffic(
+    level: Level,
+    seed: int,
+    minutes: float,
+    every_s: float,
+    neighbour_s: float,
+    dense_s: tuple[float, float] | None = None,
+) -> pd.DataFrame:
+    """NGSIM table of an instant every `every_s` and, `neighbour_s` before and after it, its two neighbours.
+
+    With `dense_s` it is of the instants between those two times alone, one every `neighbour_s`, of the same simulation.
+    """
     every, neighbour = whole_steps(every_s, "--every-s"), whole_steps(neighbour_s, "--neighbour-s")
     length = whole_steps(minutes * 60, "--minutes, in seconds,")
     if not 2 * neighbour < every <= length:
@@ -345,6 +358,13 @@ def make_traffic(level: Level, seed: int, minutes: float, every_s: float, neighb
     end_s = (warm_up + length + neighbour) * STEP_S + 1.0
     shifts = (-neighbour, 0, neighbour)
     frames = {warm_up + k + shift: k + shift for k in range(every, length + 1, every) for shift in shifts}
+    if dense_s is not None:
+        first, last = (whole_steps(value, "--dense-s") for value in dense_s)
+        if not 0 < neighbour <= last - first <= last <= length:
+            raise InputError(
+                f"--dense-s {dense_s[0]:g} {dense_s[1]:g}: allowed are two times up to --minutes, the first first"
+            )
+        frames = {warm_up + k: k for k in range(first, last + 1, neighbour)}
     rng = np.random.default_rng(seed)
     vehicles = draw_vehicles(rng, level, end_s)
     with tempfile.TemporaryDirectory(prefix="make_traffic_") as name:
@@ -367,13 +387,14 @@ def _arguments(argv):
     parser.add_argument("--minutes", type=float, default=15.0, help="recorded, after the warm-up")
     parser.add_argument("--every-s", type=float, default=10.0, help="time between instants")
     parser.add_argument("--neighbour-s", type=float, default=0.5, help="time to an instant's neighbours, for headings")
+    parser.add_argument("--dense-s", type=float, nargs=2, help="only the instants between these times, all of them")
     parser.add_argument("--level", choices=LEVELS, default="jammed", help="jammed is like I-80 0400-0415")
     return parser.parse_args(argv)
 
 
 def _make(args) -> None:
     check_place(args.out, "--out")
-    table = make_traffic(LEVELS[args.level], args.seed, args.minutes, args.every_s, args.neighbour_s)
+    table = make_traffic(LEVELS[args.level], args.seed, args.minutes, args.every_s, args.neighbour_s, args.dense_s)
     write_csv(table, args.out)
     count, speed = table.groupby("Frame_ID").size(), table["v_Vel"].mean() * FOOT_M
     per_frame = f"{count.mean():.0f} vehicles a frame ({count.min()} to {count.max()})"

@@ -214,6 +214,8 @@ class Moment:
         What the LiDAR is called.
     further : tuple of Moment
         The same of the other LiDARs of a layout, of which sensor, mounting, points and name count.
+    since_s : float
+        When the frame is, on the clock of its recording [s].
     """
 
     road: RoadMap
@@ -228,6 +230,7 @@ class Moment:
     detections: Mapping[int, DetectedBoxes] = field(default_factory=dict)
     name: str = "LiDAR"
     further: tuple[Moment, ...] = ()
+    since_s: float = 0.0
 
 
 def empty_scene() -> bpy.types.Scene:
@@ -257,7 +260,8 @@ def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
         if one.points is not None:
             show_cloud(lidar, one.points)
         if moment.settings is not None:
-            told = moment.settings | {"frame": moment.vehicles.frame, "number": number}
+            starts_s = scene.frame_current_final * scene.render.fps_base / scene.render.fps - moment.since_s
+            told = moment.settings | {"frame": moment.vehicles.frame, "number": number, "starts_s": starts_s}
             lidar[SETTINGS] = scene[SETTINGS] = json.dumps(told)
     show_detections(scene, moment.detections.get(moment.vehicles.frame))
     build_stage(scene, moment.road, moment.pose, min(_SEEN_AT_MOST_M, _SEEN_SHARE * gate_m + away_m))
