@@ -117,7 +117,7 @@ def test_a_vertex_carries_what_its_return_carries(scene):
     shown = moment()
     build_scene(scene, shown)
     mesh = next(item for item in scene.objects if role(item) == "cloud").data
-    names = {"xyz", "range", "ring", "intensity", "vehicle", "entropy", "time", "lidar"}
+    names = {"xyz", "range", "ring", "intensity", "vehicle", "entropy", "time", "lidar", "label"}
     assert shown.points.keys() == names
     for name in names - {"xyz"}:
         stored = np.empty(len(shown.points[name]))

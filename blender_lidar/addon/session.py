@@ -481,7 +481,7 @@ def exact_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, scenario: 
         For a vertex that is not finite.
     """
     scenery, caster, key = open_scenery(scene, layer), resolve(scenario.model.caster, "caster"), uid_of(scene)
-    of = caster, scenery.digest
+    of = caster, scenery.digest, scenery.label.tobytes(), scenery.labels
     if key not in _OBJECTS or _OBJECTS[key][0] != of:
         _OBJECTS[key] = of, StandingScenery(scenery, caster)
     return [_OBJECTS[key][1]] if len(scenery) else []

@@ -18,6 +18,7 @@ from ..errors import BlenderLidarError, InputError, MissingExtraError, OutputErr
 from ..files import make_folder, number, open_file, read_file, read_npz, reading, write_bytes, write_text
 from ..sensors.pose import Pose
 from ..traffic.vehicles import CLASSES, Vehicles
+from ..world.scenery import NO_LABEL
 from .scan import NO_CLASS, PointCloud, class_names
 
 # --- NPZ, which keeps everything -------------------------------------------------------------------------
@@ -26,9 +27,10 @@ from .scan import NO_CLASS, PointCloud, class_names
 def write_npz(path: str | Path, cloud: PointCloud, header: dict, more: Mapping[str, np.ndarray] | None = None) -> None:
     """Write every attribute of a cloud, and `header` as JSON, to an NPZ file; angles become degrees.
 
-    `more` are further arrays, by their names. Only a cloud of several LiDARs has the column `lidar`.
+    `more` are further arrays, by their names. Only a cloud of several LiDARs has the column `lidar`, and only one of
+    objects that are labelled, whose names the header holds, the column `label`.
     """
-    more = {**({"lidar": cloud.lidar} if LIDARS in header else {}), **(more or {})}
+    more = {name: getattr(cloud, name) for name, _ in _columns_by(header)} | dict(more or {})
     columns = {name: getattr(cloud, name) for name in ("xyz", "range_m", "ring", "time_s", "vehicle_id", "intensity")}
     columns |= {f"{name}_deg": np.degrees(getattr(cloud, f"{name}_rad")) for name in ("azimuth", "incidence")}
     packed = io.BytesIO()  # as a ZipFile on a full disk would complain again when it is collected
@@ -51,6 +53,7 @@ def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
             columns = {name: held[name] for name in (*_OF_POINTS, *_ANGLES)}
             names, header = held["class"].ravel().tolist(), json.loads(str(held["header"]))
             columns["lidar"] = held.get("lidar", np.zeros(len(names), dtype=np.uint8))
+            columns["label"] = held.get("label", np.full(len(names), NO_LABEL, dtype=np.int32))
             _check_cloud(columns, names, header)
             if TO_SITE in header:
                 matrix = np.array(header[TO_SITE], dtype=float).reshape(4, 4).T
@@ -67,7 +70,14 @@ def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
 _OF_POINTS = ("xyz", "range_m", "ring", "time_s", "vehicle_id", "intensity")
 _ANGLES = ("azimuth_deg", "incidence_deg")
 LIDARS, TO_SITE = "lidars", "to_site"  # in headers: those of several LiDARs; the matrix from a sensor's own frame
+LABELS = "labels"  # in headers: names of labels, by their numbers
+_BY_HEADER = {LIDARS: ("lidar", "u1"), LABELS: ("label", "i4")}  # columns of clouds whose header has a key
 _OF_HEADER = {"sensor": str, "frame": int, "rotation_hz": (int, float), "pose": dict}
+
+
+def _columns_by(header: Mapping) -> list[tuple[str, str]]:
+    """The columns, with their kinds, that a cloud has because its header says so."""
+    return [column for key, column in _BY_HEADER.items() if key in header]
 
 
 def _check_cloud(columns: dict[str, np.ndarray], names: list, header: dict) -> None:
@@ -116,12 +126,13 @@ _PLY_TYPES = {"f4": "float", "u1": "uchar", "u2": "ushort", "f8": "double", "i4"
 def _records(path: str | Path, cloud: PointCloud, header: Mapping) -> np.ndarray:
     """The points of a cloud, one after another; of several LiDARs each has its number."""
     _check_ids_fit(path, cloud.vehicle_id, 31, f"32 bits of a {Path(path).suffix.lstrip('.').upper()} file")
-    record = np.zeros(len(cloud), dtype=_RECORD.descr + [("lidar", "|u1")] * (LIDARS in header))
+    more = _columns_by(header)
+    record = np.zeros(len(cloud), dtype=_RECORD.descr + [(name, f"<{kind}") for name, kind in more])
     record["x"], record["y"], record["z"] = cloud.xyz.T
     record["intensity"], record["ring"], record["time"] = cloud.intensity, cloud.ring, cloud.time_s
     record["vehicle_id"], record["class"] = cloud.vehicle_id, cloud.class_index
-    if LIDARS in header:
-        record["lidar"] = cloud.lidar
+    for name, _ in more:
+        record[name] = getattr(cloud, name)
     return record
 
 
@@ -257,7 +268,8 @@ def _read_pcd(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | No
 # --- LAS and LAZ files of surveyors, by laspy -------------------------------------------------------------
 
 _RESOLUTION_M = 0.0001
-_CLASSIFICATION_ROAD, _CLASSIFICATION_VEHICLE = 11, 64  # ASPRS: road surface; the first number that users may define
+# ASPRS: unclassified, as what has a label of its own; road surface; the first number that users may define.
+_CLASSIFICATION_NONE, _CLASSIFICATION_ROAD, _CLASSIFICATION_VEHICLE = 1, 11, 64
 _USER_RECORD = 1
 
 
@@ -282,14 +294,15 @@ def write_las(path: str | Path, cloud: PointCloud, header: dict) -> None:
     las.vlrs.append(
         laspy.VLR("blender_lidar", _USER_RECORD, "JSON header", record_data=json.dumps(header).encode("utf-8"))
     )
-    extra = ("ring", "u2"), ("vehicle_id", "i4"), ("class_index", "i1"), *([("lidar", "u1")] * (LIDARS in header))
+    extra = ("ring", "u2"), ("vehicle_id", "i4"), ("class_index", "i1"), *_columns_by(header)
     for name, kind in extra:
         las.add_extra_dim(laspy.ExtraBytesParams(name, kind))
     las.x, las.y, las.z = cloud.xyz.T
     las.intensity = np.round(cloud.intensity * 65535).astype(np.uint16)
     las.gps_time = cloud.time_s
     las.return_number = las.number_of_returns = np.ones(len(cloud), dtype=np.uint8)
-    las.classification = np.where(cloud.vehicle_id >= 0, _CLASSIFICATION_VEHICLE, _CLASSIFICATION_ROAD).astype(np.uint8)
+    other = np.where(cloud.label >= 0, _CLASSIFICATION_NONE, _CLASSIFICATION_ROAD)
+    las.classification = np.where(cloud.vehicle_id >= 0, _CLASSIFICATION_VEHICLE, other).astype(np.uint8)
     for name, _ in extra:
         las[name] = getattr(cloud, name)
     packed = io.BytesIO()
@@ -313,7 +326,7 @@ def _read_las(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | No
 # SemanticKITTI's numbers of our classes, in the order of `traffic.vehicles.CLASSES`: a van is a car there, and a
 # bicycle with its rider a bicyclist.
 SEMANTIC_CLASSES = np.array([10, 10, 18, 13, 15, 31, 30])
-ROAD = 40
+ROAD, OTHER = 40, 99
 _MOVING = (252, 253, 254, 255, 256, 257, 258, 259)  # what SemanticKITTI calls road users that move
 
 
@@ -332,7 +345,7 @@ def write_kitti(path: str | Path, cloud: PointCloud, header: dict) -> None:
     path, of_vehicle = Path(path), cloud.vehicle_id >= 0
     rows = np.empty((len(cloud), 4), dtype="<f4")
     rows[:, :3], rows[:, 3] = levelled(cloud.xyz, Pose.from_table(header["pose"])), cloud.intensity
-    label = np.where(of_vehicle, SEMANTIC_CLASSES[cloud.class_index], ROAD)
+    label = np.where(of_vehicle, SEMANTIC_CLASSES[cloud.class_index], np.where(cloud.label >= 0, OTHER, ROAD))
     label |= np.where(of_vehicle, cloud.vehicle_id, 0) << 16
     write_bytes(path.with_suffix(".label"), label.astype("<u4").tobytes())
     write_bytes(path, rows.tobytes())

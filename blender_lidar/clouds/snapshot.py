@@ -22,7 +22,7 @@ from ..traffic.boxes import DetectedBoxes
 from ..traffic.vehicles import Vehicles
 from ..world.needs_blender import blender_room
 from ..world.scenery import Scenery
-from .files import LIDARS
+from .files import LABELS, LIDARS
 from .scan import PointCloud, joined_clouds, scan
 
 if TYPE_CHECKING:
@@ -74,6 +74,7 @@ class MountedSensor:
             "versions": versions(self.caster),
             "mounting": self.mounting.as_table(),
             **({"road": slopes} if slopes else {}),
+            **({LABELS: labels} if (labels := self.scenery and self.scenery.scenery.labels) else {}),
         }
 
     def moment(self, vehicles: Vehicles, detections: Mapping[int, DetectedBoxes], points: Mapping | None) -> Moment:
@@ -127,7 +128,8 @@ def fused_header(sensors: Sequence[MountedSensor], vehicles: Vehicles) -> dict[s
     rows = [{"name": one.scenario.lidar_name, **one.cloud_header(vehicles)} for one in sensors]
     if len(rows) == 1:
         return sensors[0].cloud_header(vehicles)
-    return {key: rows[0][key] for key in ("frame", "caster", "detail", "versions", "pose")} | {LIDARS: rows}
+    shared = ("frame", "caster", "detail", "versions", "pose", LABELS)
+    return {key: rows[0][key] for key in shared if key in rows[0]} | {LIDARS: rows}
 
 
 def vertices_of(cloud: PointCloud, vehicles: Vehicles, entropy_bits: np.ndarray, lidar: int = 0) -> dict:
@@ -147,6 +149,7 @@ def vertices_of(cloud: PointCloud, vehicles: Vehicles, entropy_bits: np.ndarray,
         "entropy": bits,
         "time": cloud.time_s,
         "lidar": np.full(len(cloud), lidar),
+        "label": cloud.label,
     }
 
 

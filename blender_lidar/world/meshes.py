@@ -12,9 +12,16 @@ import numpy as np
 
 SURFACES = ("paint", "glass", "road", "structure")  # what a triangle is made of; its index is stored per triangle
 PAINT, GLASS, ROAD, STRUCTURE = range(4)
-REFLECTIVITY = np.array([0.5, 0.1, 0.2, 0.3])  # diffuse, at 905 nm, of `SURFACES`: round numbers, not measurements
+_STEPS = 200  # of a reflectivity from 0 to 1: a surface for each, of materials of the user's own
+# Diffuse, at 905 nm, of `SURFACES`: round numbers, not measurements; and of the surfaces by `surface_of`.
+REFLECTIVITY = np.concatenate([[0.5, 0.1, 0.2, 0.3], np.arange(_STEPS + 1) / _STEPS])
 
 _EQUAL = 1e-9  # relative: lengths that differ by less are equal
+
+
+def surface_of(reflectivity: float) -> int:
+    """The surface of a diffuse reflectivity, 0 to 1, to half a percent: an index into `REFLECTIVITY`."""
+    return len(SURFACES) + round(_STEPS * min(max(float(reflectivity), 0.0), 1.0))
 
 
 @dataclass(frozen=True, slots=True)

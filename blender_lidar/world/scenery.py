@@ -119,7 +119,7 @@ class Scenery:
     def digest(self) -> str:
         """SHA-256 of its triangles: what it hides depends on nothing else."""
         content = hashlib.sha256()
-        for array in (self.corners, self.owner, self.surface, *([self.label] if self.labels else [])):
+        for array in (self.corners, self.owner, self.surface):
             content.update(np.ascontiguousarray(array).tobytes())
         return content.hexdigest()
 

@@ -6,6 +6,7 @@ import gzip
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -13,8 +14,8 @@ import bpy
 import numpy as np
 
 from ...errors import InputError, MissingFileError
-from ..meshes import STRUCTURE, SURFACES
-from ..scenery import Scenery, join
+from ..meshes import GLASS, REFLECTIVITY, STRUCTURE, surface_of
+from ..scenery import NO_LABEL, Scenery, join
 from .objects import DISPLAY_ONLY, ROAD_ROLE, SURFACE_KEY, VEHICLE, role, to_road
 from .quiet import first_error, quiet
 
@@ -68,6 +69,7 @@ def visible_triangles(
     skip: Callable[[bpy.types.Object], bool] = lambda item: False,
     keep: Keep = lambda box: True,
     layer: bpy.types.ViewLayer | None = None,
+    labels: Labels | None = None,
 ) -> Scenery:
     """Everything that a LiDAR would meet in a scene, with modifiers applied and instances made real.
 
@@ -86,6 +88,8 @@ def visible_triangles(
         where it is false that one is left out. A forest may have far more triangles than stand within reach.
     layer : ViewLayer, optional
         As it shows the scene; the first if left out.
+    labels : Labels, optional
+        How triangles are labelled; not at all if left out.
 
     Returns
     -------
@@ -100,19 +104,22 @@ def visible_triangles(
     """
     layer = layer or scene.view_layers[0]
     layer.update()
-    meshes, parts = {}, []
+    meshes, by_mesh, parts = {}, {}, []
     for item, turn, move in visible_instances(scene, layer.depsgraph, lambda item: not skip(item)):
         key = item.data.as_pointer()
         if key not in meshes:
             meshes[key] = arrays_of(item.data)
+            by_mesh[key] = labels.of_faces(item.data, item.data.loop_triangles) if labels else None
         vertices, faces, surface, box = meshes[key]
         if len(faces) == 0 or not keep(box @ turn + move):
             continue
         if np.linalg.det(turn) < 0.0:  # a mirror turns faces inside out
             faces = faces[:, ::-1]
         owner = np.zeros(len(faces), np.int32)
-        parts.append(Scenery((vertices @ turn + move)[faces], owner, surface, (item.name,)))
-    return join(parts)
+        label = np.full(len(faces), labels.of(item), np.int32) if labels and by_mesh[key] is None else by_mesh[key]
+        parts.append(Scenery((vertices @ turn + move)[faces], owner, surface, (item.name,), label))
+    found = join(parts)
+    return replace(found, labels=labels.names(found.label)) if labels else found
 
 
 def open_scenery(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Scenery:
@@ -123,7 +130,7 @@ def open_scenery(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Scenery:
     InputError
         If a vertex is not finite, or the road frame is tilted or scaled.
     """
-    found = visible_triangles(scene, lambda item: not is_own(item), layer=layer)
+    found = visible_triangles(scene, lambda item: not is_own(item), layer=layer, labels=Labels(scene))
     if not np.isfinite(found.corners).all():
         row = int(np.flatnonzero(~np.isfinite(found.corners).all(axis=(1, 2)))[0])
         raise InputError(f"{found.names[found.owner[row]]!r}: has a vertex that is not finite")
@@ -182,20 +189,85 @@ def arrays_of(mesh: bpy.types.Mesh, *, triangles: bool = True) -> tuple[np.ndarr
         parts = mesh.loop_triangles
         faces = np.empty(3 * len(parts), np.int32)
         parts.foreach_get("vertices", faces)
-    slot = np.empty(len(parts), np.int32)
-    parts.foreach_get("material_index", slot)
-    known = [_surface_of(material) for material in mesh.materials]
-    made_of = np.array(known or [STRUCTURE], dtype=np.uint8)[np.clip(slot, 0, max(0, len(known) - 1))]
+    made_of = _by_slot(parts, [_surface_of(material) for material in mesh.materials] or [STRUCTURE]).astype(np.uint8)
     vertices = vertices.reshape(-1, 3).astype(float)
     low, high = vertices.min(axis=0, initial=np.inf), vertices.max(axis=0, initial=-np.inf)
     box = np.array(list(product(*zip(low, high, strict=True))))
     return vertices, faces.reshape(-1, 3), made_of, box
 
 
+def _by_slot(parts, values: list[int]) -> np.ndarray:
+    """For each face the value of its material slot."""
+    slot = np.empty(len(parts), np.int32)
+    parts.foreach_get("material_index", slot)
+    return np.array(values, dtype=np.int32)[np.clip(slot, 0, len(values) - 1)]
+
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709, of linear RGB
+_TRANSMISSION = ("Transmission Weight", "Transmission")  # from Blender 4.0 on, and before
+_SEEN_THROUGH = 0.5
+
+
 def _surface_of(material: bpy.types.Material | None) -> int:
-    """What a material of ours stands for; bare structure for any other."""
-    surface = STRUCTURE if material is None else material.get(SURFACE_KEY, STRUCTURE)
-    return surface if surface in range(len(SURFACES)) else STRUCTURE
+    """Reflectivity and glass from Principled BSDF: the surface that a material stands for, bare structure for none.
+
+    Its base colour's luminance is the diffuse reflectivity. Where that is linked, as to a texture, or there is no such
+    shader, the colour that the viewport shows is taken.
+    """
+    if material is None or material.get(SURFACE_KEY) in range(len(REFLECTIVITY)):
+        return STRUCTURE if material is None else material[SURFACE_KEY]
+    colour, tree = material.diffuse_color, material.node_tree if getattr(material, "use_nodes", True) else None
+    shader = next((node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"), None) if tree else None
+    if shader is not None:
+        through = next(shader.inputs[name] for name in _TRANSMISSION if name in shader.inputs)
+        if through.default_value > _SEEN_THROUGH:
+            return GLASS
+        if not shader.inputs["Base Color"].is_linked:
+            colour = shader.inputs["Base Color"].default_value
+    return surface_of(_LUMINANCE @ np.array(colour[:3]))
+
+
+# --- Labels of the user's objects -------------------------------------------------------------------------------------
+
+LABELS_BY = {"object": "objects", "collection": "collections", "pass_index": "objects", "material": "materials"}
+"""What labels may come of, and the data-blocks of a file that have its names."""
+
+
+class Labels:
+    """Labels (semantic classes) of the user's own objects, `by` one of `LABELS_BY`, the scene's `label_by`
+    unless said: a number and a name for each.
+
+    Names are numbered in alphabetical order, over all that the file has, so that a number stays when others are hidden;
+    the pass index is its own number. Objects in several collections have the first, those in none but the scene's none.
+    """
+
+    def __init__(self, scene: bpy.types.Scene, by: str = "") -> None:
+        self._by = by or getattr(getattr(scene, "blender_lidar", None), "label_by", "object")
+        blocks = [block for block in getattr(bpy.data, LABELS_BY[self._by]) if role(block) is None]
+        self._names = sorted({block.name for block in blocks})
+        self._number, self._within = {name: number for number, name in enumerate(self._names)}, {}
+        for block in blocks if self._by == "collection" else ():
+            for item in block.objects:
+                self._within.setdefault(item.as_pointer(), self._number[block.name])
+
+    def of(self, item: bpy.types.Object) -> int:
+        """The number of an evaluated object or instance; -1 where it has none, or its faces may have several."""
+        if self._by == "pass_index":
+            return item.pass_index
+        if self._by == "collection":
+            return self._within.get(item.original.as_pointer(), NO_LABEL)
+        return self._number.get(item.name, NO_LABEL) if self._by == "object" else NO_LABEL
+
+    def of_faces(self, mesh: bpy.types.Mesh, parts: bpy.types.bpy_prop_collection) -> np.ndarray | None:
+        """The numbers (m,) of an evaluated mesh's polygons or triangles; None where the object's is that of all."""
+        if self._by != "material":
+            return None
+        return _by_slot(parts, [self._number.get(one.name, -1) if one else -1 for one in mesh.materials] or [NO_LABEL])
+
+    def names(self, label: np.ndarray) -> dict[int, str]:
+        """The names of the numbers among some."""
+        found = [number for number in np.unique(label).tolist() if number != NO_LABEL]
+        return {number: str(number) if self._by == "pass_index" else self._names[number] for number in found}
 
 
 # --- Sites of the user's own: .blend and mesh files, read as scenery --------------------------------------
