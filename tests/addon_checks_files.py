@@ -11,7 +11,7 @@ from blender_lidar.addon import handlers, properties, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.world.blender.objects import CLOUD, PART, VEHICLE, hang, lidars, role
-from blender_lidar.world.blender.points import cloud_of
+from blender_lidar.world.blender.points import STYLES, cloud_of, colours_by, set_look, show_cloud
 from tests.addon_sample import (
     FOLDER,
     FRAME,
@@ -29,6 +29,7 @@ from tests.addon_sample import (
     refused,
     vertices,
 )
+from tests.blender_session import colours_shown
 from tests.small_scene import mounting
 
 
@@ -109,6 +110,77 @@ def check_a_scaled_lidar_shows_its_cloud_where_it_is_and_its_pole_on_the_road():
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     np.testing.assert_allclose(evaluated(cloud_of(lidar)), vertices(cloud_of(lidar)), atol=1e-4)
     assert abs(evaluated(part(lidar, "Pole"))[:, 2].min()) < 1e-4
+
+
+def any_points(count=500, seed=1):
+    rng = np.random.default_rng(seed)
+    whole = {"ring": (0, 16), "vehicle": (-9, 2**24), "label": (-3, 9), "lidar": (0, 2)}
+    points = {name: rng.integers(*ends, count).clip(-1) for name, ends in whole.items()}
+    points |= {name: most * rng.random(count) for name, most in (("range", 90.0), ("intensity", 1.0), ("entropy", 1.2))}
+    return points | {"xyz": rng.normal(size=(count, 3)), "time": np.zeros(count)}
+
+
+def check_nodes_show_the_colors_that_are_drawn_live_and_leave_out_ranges():
+    _, lidar = loaded()
+    group, points = lidar.blender_lidar, any_points()
+    cloud = show_cloud(lidar, points)
+    np.testing.assert_allclose(colours_shown(cloud), colours_by("entropy", points), atol=2e-6)
+    for name in group.bl_rna.properties["colour_by"].enum_items.keys():  # noqa: SIM118
+        group.colour_by = name
+        np.testing.assert_allclose(colours_shown(cloud), colours_by(name, points), atol=2e-6, err_msg=name)
+    set_look(cloud, {"Range From": 20.0, "Range To": 40.0})
+    among = (points["range"] >= 20.0) & (points["range"] <= 40.0)
+    np.testing.assert_allclose(colours_shown(cloud), colours_by(group.colour_by, points)[among], atol=2e-6)
+    show_cloud(lidar, any_points(count=7, seed=2))
+    set_look(cloud, {"Range From": 0.0, "Range To": 1e6})
+    assert len(colours_shown(cloud)) == 7
+
+
+def check_styles_are_assets_with_materials_of_their_own():
+    _, lidar = loaded()
+    points = any_points()
+    cloud, groups, materials = show_cloud(lidar, points), set(), set()
+    for style, (colour_by, *_, told) in STYLES.items():
+        lidar.blender_lidar.style = style
+        assert lidar.blender_lidar.colour_by == colour_by
+        np.testing.assert_allclose(colours_shown(cloud), colours_by(colour_by, points), atol=2e-6, err_msg=style)
+        shown = cloud.modifiers[0].node_group
+        assert shown.asset_data.description == told
+        groups.add(shown.name)
+        materials |= materials_of(cloud)
+        mine = bpy.data.materials.new("mine")
+        set_look(cloud, {"Material": mine})
+        assert materials_of(cloud) == {mine.name}
+    assert len(materials) == len(STYLES)
+    assert groups == {"LiDAR Points", "Rings", "Intensity on Black", "By Vehicle"}
+
+
+def materials_of(cloud):
+    bpy.context.view_layer.update()
+    for one in bpy.context.evaluated_depsgraph_get().object_instances:
+        if one.object.name == cloud.name and "colour" in one.object.data.attributes:
+            return {material.name for material in one.object.data.materials if material is not None}
+    return set()
+
+
+def check_a_cloud_of_an_older_file_is_shown_after_a_scan_and_groups_of_the_users_own_stay():
+    _, lidar = loaded()
+    cloud = show_cloud(lidar, any_points())
+    old = bpy.data.node_groups.new("LiDAR points", "GeometryNodeTree")
+    old["blender_lidar_role"] = "LiDAR points"
+    cloud.modifiers[0].node_group = old
+    cloud.data.attributes.new("colour", "FLOAT_COLOR", "POINT")
+    points = any_points(count=300, seed=2)
+    assert show_cloud(lidar, points, "ring") == cloud
+    np.testing.assert_allclose(colours_shown(cloud), colours_by("ring", points), atol=2e-6)
+    own = cloud.modifiers[0].node_group = bpy.data.node_groups.new("own", "GeometryNodeTree")
+    show_cloud(lidar, points, "range")
+    assert cloud.modifiers[0].node_group == own
+    cloud.modifiers.clear()
+    show_cloud(lidar, points, "range")
+    assert not cloud.modifiers
+    lidar.blender_lidar.style = "Rings"
+    assert cloud.modifiers[0].node_group.name == "Rings"
 
 
 def check_undo_and_redo_take_back_pose_and_cloud_together():

@@ -37,3 +37,18 @@ def hits(corners, owner, pose=POSE, reach=REACH_M):
     directions = pose.to_world(LATTICE.directions.reshape(-1, 3))
     found = caster_class("exact")(corners).cast(pose.position, directions, reach)
     return found.distance, np.where(found.triangle >= 0, owner[found.triangle], -1)
+
+
+def colours_shown(cloud):
+    """Linear RGBA (n, 4) of the points that Blender shows of a cloud; the oldest shows each by twelve corners."""
+    import bpy
+
+    cloud.update_tag()
+    bpy.context.view_layer.update()
+    for one in bpy.context.evaluated_depsgraph_get().object_instances:
+        if one.object.name == cloud.name and "colour" in one.object.data.attributes:
+            stored = one.object.data.attributes["colour"].data
+            colours = np.empty(4 * len(stored), np.float32)
+            stored.foreach_get("color", colours)
+            return colours.reshape(-1, 4)[:: 12 if bpy.app.version < (4, 0) else 1]
+    return np.empty((0, 4), np.float32)

@@ -11,6 +11,7 @@ from blender_lidar import addon
 from blender_lidar.addon import live, session
 from blender_lidar.world.blender.objects import lidars, new_mesh, role
 from blender_lidar.world.blender.points import cloud_of
+from tests.blender_session import colours_shown
 from tests.small_scene import write_scene
 
 WALL = np.array([(-30.0, 1.0, 0.0), (30.0, 1.0, 0.0), (30.0, 1.0, 5.0), (-30.0, 1.0, 5.0)])
@@ -129,10 +130,14 @@ def test_a_scanned_cloud_takes_another_colour_without_a_scan(lidar):
     cloud, seen = cloud_of(lidar), set()
     for name in ("range", "ring", "vehicle", "intensity", "entropy"):
         lidar.blender_lidar.colour_by = name
-        colour = np.empty(4 * len(cloud.data.vertices), np.float32)
-        cloud.data.attributes["colour"].data.foreach_get("color", colour)
-        seen.add(colour.tobytes())
+        seen.add(colours_shown(cloud).tobytes())
     assert len(seen) == 5
+    lidar.blender_lidar.style = "Rings"
+    assert lidar.blender_lidar.colour_by == "ring"
+    assert cloud.modifiers[0].node_group.name == "Rings"
+    assert colours_shown(cloud).tobytes() in seen
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    assert cloud_of(lidar).modifiers[0].node_group.name == "Rings"
 
 
 def test_where_undo_has_ended_it_nothing_is_written(lidar):

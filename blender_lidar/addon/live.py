@@ -19,7 +19,7 @@ from ..errors import BlenderLidarError
 from ..scene.scenario import Scenario
 from ..traffic.vehicles import Vehicles
 from ..world.blender.objects import SHAPE, VEHICLE, VEHICLE_ID, frame_of, lidars, role, wear_own_paint
-from ..world.blender.points import cloud_of, colour_cloud, colours_by, show_cloud
+from ..world.blender.points import STYLES, cloud_of, colour_cloud, colours_by, set_style, show_cloud
 from ..world.blender.preview import VisibleObjects
 from ..world.blender.site import is_own
 from ..world.blender.traffic import colour_vehicles
@@ -187,7 +187,7 @@ def _end(key: str, shown: _Shown) -> None:
             if shown.look is not None and shown.frame is not None:  # not where undo has ended it
                 vehicles = shown.frame.frame.vehicles
                 points = vertices_of(shown.look.cloud, vehicles, shown.bits)
-                show_cloud(lidar, points, lidar.blender_lidar.colour_by)
+                show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style)
             cloud = cloud_of(lidar)
             if cloud is not None and cloud.name in layer.objects:
                 cloud.hide_set(False, view_layer=layer)
@@ -300,12 +300,17 @@ def on_load(*_) -> None:
 
 def on_change(block: bpy.types.ID, table: str) -> None:
     """A property of the panel has changed."""
-    if table not in ("live", "look"):
+    if table not in ("live", "look", "style"):
         on_other_time()
     elif bpy.app.background:
         update()
-    if table == "look" and cloud_of(block) is not None:
-        colour_cloud(cloud_of(block), block.blender_lidar.colour_by)
+    cloud = cloud_of(block) if table in ("look", "style") else None
+    if table == "style":
+        if cloud is not None:
+            set_style(cloud, block.blender_lidar.style)
+        block.blender_lidar.colour_by = STYLES[block.blender_lidar.style][0]
+    elif cloud is not None:
+        colour_cloud(cloud, block.blender_lidar.colour_by)
     _soon()
 
 

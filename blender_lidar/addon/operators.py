@@ -330,11 +330,11 @@ class BLENDER_LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
             session.store_layout(scene, hung, frames, looks)
         for lidar, (look, base), (scenario, _, vehicles) in zip(hung, looks, checked, strict=True):
             bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
-            show_cloud(lidar, vertices_of(look.cloud, vehicles, bits), lidar.blender_lidar.colour_by)
+            group = lidar.blender_lidar
+            show_cloud(lidar, vertices_of(look.cloud, vehicles, bits), group.colour_by, group.style)
             session.store(lidar, vehicles, look, base)
-            scored = "" if look.scored is None else f", objective {lidar.blender_lidar.objective:.2f}"
-            points = f"{lidar.blender_lidar.points:,} points"
-            told.append(f"{lidar.name}: {points} at {lidar.blender_lidar.scanned_s:.2f} s{scored}")
+            scored = "" if look.scored is None else f", objective {group.objective:.2f}"
+            told.append(f"{lidar.name}: {group.points:,} points at {group.scanned_s:.2f} s{scored}")
         self.report({"INFO"}, "; ".join(told))
         return {"FINISHED"}
 

@@ -162,6 +162,7 @@ class BLENDER_LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("blender_lidar.scan", icon="LIGHT_SUN", translate=False)
         row.prop(group, "live", toggle=True, translate=False)
+        layout.prop(group, "style", translate=False)
         layout.prop(group, "colour_by", translate=False)
         say(layout, f"Own objects: {'preview' if group.live else 'exact'}", icon="MESH_CUBE")
         if group.scanned_frame < 0:

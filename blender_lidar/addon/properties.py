@@ -33,6 +33,7 @@ from ..scene.settings import DECLARED, GATE
 from ..sensors.model import model_names
 from ..toml_table import Setting, limits_text
 from ..world.blender.objects import hang, lidars, pose_of
+from ..world.blender.points import STYLES
 
 CONTEXT = "blender_lidar"  # of translation: Blender's dictionary has none of it, so that what we draw stays whole
 SCHEMA = 1  # of what is saved in a .blend file
@@ -451,8 +452,14 @@ class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
         name="Color by",
         update=_changed("look"),
         default="range",
-        items=[(key, key.capitalize(), "") for key in ("range", "ring", "vehicle", "intensity", "entropy")],
+        items=[(key, key.capitalize(), "") for key in ("range", "ring", "vehicle", "intensity", "entropy", "label")],
         description="Quantity that colors the points",
+    )
+    style: EnumProperty(
+        name="Style",
+        update=_changed("style"),
+        items=[(name, name, told) for name, (*_, told) in STYLES.items()],
+        description="Look of the scanned points, a node group",
     )
     poles: StringProperty(
         name="Poles", description="CSV of candidate places that are searched, in place of X and Y", **_PATH

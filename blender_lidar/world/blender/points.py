@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import bpy
 import numpy as np
@@ -19,14 +20,20 @@ from .objects import (
     role,
 )
 
-_NAME, _LOOK, _COLOUR = "Point cloud", "LiDAR points", "colour"
-_RADIUS_M = 0.045
+_NAME, _COLOUR, _MATERIAL = "Point cloud", "colour", "LiDAR points"
+_OLD_GROUP = "LiDAR points"  # the key of a group that shows a colour stored with the points, as older files have it
 # Linear RGB of what is coloured by a number, evenly over its range.
 _BY_ENTROPY = ((0.85, 0.05, 0.02), (0.95, 0.55, 0.02), (0.55, 0.95, 0.25))  # of 0, 0.5 and 1 bit of PE-VGOP
 _FADING, _FADED_M = ((0.16, 0.20, 0.26), (0.08, 0.10, 0.14)), 100.0  # of points on no vehicle, by their range
-# Viridis at 0, 0.25, 0.5, 0.75 and 1, linear: lighter is more, for those too who see no colours.
-_VIRIDIS = ((0.06, 0.0, 0.09), (0.04, 0.08, 0.26), (0.01, 0.28, 0.26), (0.11, 0.58, 0.12), (0.98, 0.8, 0.02))
-_GOLDEN = 0.618034  # of a turn from hue to hue: neighbours in the list differ much
+# Viridis at 0, 0.25, 0.5, 0.75 and 1, its dark end lifted off asphalt: lighter is more, whoever looks.
+_VIRIDIS = ((0.12, 0.02, 0.28), (0.05, 0.14, 0.46), (0.01, 0.33, 0.34), (0.11, 0.62, 0.13), (0.98, 0.8, 0.02))
+# Red, yellow, green, cyan, blue, magenta and red again; what is on nothing is grey.
+_HUES = tuple(
+    np.clip(np.array([(1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1), (1, 0, 1), (1, 0, 0)]), 0.05, 0.9)
+)
+_GREY = ((0.2, 0.2, 0.2),) * 2
+_NAMED = ("vehicle", "label")  # what is no quantity but a number of something, -1 of nothing
+_GOLDEN, _AFTER = 0.618034, 987  # of a turn from one number to the next, and after how many the hues come again
 
 
 def _ramp(values: np.ndarray, colours: Sequence[tuple[float, float, float]]) -> np.ndarray:
@@ -41,25 +48,27 @@ def colours_of(entropy_bits: np.ndarray) -> np.ndarray:
 
 
 def colours_by(name: str, points: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Linear RGBA (n, 4), float32, of points by one of their attributes: `entropy`, `vehicle`, `range` and the like.
+    """Linear RGBA (n, 4), float32, of points by one of their attributes, as the node group `LiDAR Points` makes it.
 
-    By `entropy` those on no vehicle are faint, the more the farther away they are.
+    By `entropy` those on no vehicle are faint, the more the farther away they are; by `vehicle` and `label` each number
+    has a hue of its own, whichever others there are; `intensity` is lifted by its square root, as most of it is low.
     """
     values, colours = points[name], np.ones((len(points[name]), 4), np.float32)
     if name == "entropy":
         elsewhere = _ramp(points["range"] / _FADED_M, _FADING)
         colours[:, :3] = np.where(points["vehicle"][:, None] >= 0, colours_of(values), elsewhere)
-    elif name == "vehicle":
-        hue = (_GOLDEN * np.unique(values, return_inverse=True)[1].reshape(-1, 1) + np.array([0.0, 1 / 3, 2 / 3])) % 1.0
-        colours[:, :3] = np.where(values[:, None] >= 0, np.clip(np.abs(6.0 * hue - 3.0) - 1.0, 0.05, 0.9), 0.2)
+    elif name in _NAMED:
+        turned = np.fmod(_numbers(values).astype(np.float32), np.float32(_AFTER)) * np.float32(_GOLDEN)
+        colours[:, :3] = np.where(values[:, None] >= 0, _ramp(turned - np.floor(turned), _HUES), _GREY[0])
+    elif name == "intensity":
+        colours[:, :3] = _ramp(np.sqrt(values), _VIRIDIS)
     else:
-        most = 1.0 if name == "intensity" else float(values.max(initial=0.0)) or 1.0
-        colours[:, :3] = _ramp(values / most, _VIRIDIS)
+        colours[:, :3] = _ramp(values / (float(values.max(initial=0.0)) or 1.0), _VIRIDIS)
     return colours
 
 
 def show_cloud(
-    lidar: bpy.types.Object, points: Mapping[str, np.ndarray], colour_by: str = "entropy"
+    lidar: bpy.types.Object, points: Mapping[str, np.ndarray], colour_by: str = "entropy", style: str = "Points"
 ) -> bpy.types.Object:
     """The cloud of a LiDAR in the road frame, its child; written in place where there is one.
 
@@ -70,37 +79,38 @@ def show_cloud(
     points : mapping of str to ndarray
         Places `xyz` (n, 3) [m], and attributes of the vertices, (n,) each, by their names: `vehicle`, the id of the one
         that a point lies on, -1 for none, `entropy`, its PE-VGOP [bits], `range` [m] and others.
-    colour_by : str
-        The attribute that colours them, see `colours_by`.
+    colour_by, style : str
+        The attribute that colours a new cloud, see `colours_by`, in one of `STYLES`; an earlier one keeps its look.
     """
     item = cloud_of(lidar)
     if item is None:
-        mesh = new_mesh(_NAME, np.empty((0, 3)), np.empty((0, 3), dtype=int), [_material()])
+        mesh = new_mesh(_NAME, np.empty((0, 3)), np.empty((0, 3), dtype=int), [_material(_MATERIAL)])
         item = add_object(lidar.users_collection[0], _NAME, mesh, CLOUD)
         item.hide_select = True
         only_for_the_eye(item)
-        item.modifiers.new(_LOOK, "NODES").node_group = made_once(bpy.data.node_groups, _LOOK, _points)
+        item.modifiers.new("Look", "NODES")
+        _hide_outlines()
     elif item.data.users > 1:  # of a LiDAR that was duplicated with its cloud linked
         item.data = item.data.copy()
-    write_cloud(item.data, points, colour_by)
+    write_cloud(item.data, points)
+    groups = [one.node_group for one in item.modifiers if one.type == "NODES"]
+    if any(group is None or role(group) == _OLD_GROUP for group in groups):
+        set_style(item, style)
+        colour_cloud(item, colour_by)
     item.parent = lidar  # whose frame is another than that of the vertices
     item.matrix_parent_inverse = matrix_of(lidar).inverted_safe()
     return item
 
 
+def _hide_outlines():
+    """Let views draw no outlines of objects: in solid mode they cover points, which are hardly larger."""
+    for area in (area for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"):
+        area.spaces.active.shading.show_object_outline = False
+
+
 def colour_cloud(cloud: bpy.types.Object, name: str) -> None:
     """Colour a cloud by another one of its attributes, as `colours_by` does."""
-    mesh, points = cloud.data, {}
-    for key in {name, "vehicle", "range"}:
-        points[key] = np.empty(len(mesh.vertices))
-        mesh.attributes[key].data.foreach_get("value", points[key])
-    _colour(mesh, points, name)
-    mesh.update()
-
-
-def _colour(mesh, points, name):
-    attribute = mesh.attributes.get(_COLOUR) or mesh.attributes.new(_COLOUR, "FLOAT_COLOR", "POINT")
-    attribute.data.foreach_set("color", colours_by(name, points).ravel())
+    set_look(cloud, {"Color By": name})
 
 
 def cloud_of(lidar: bpy.types.Object) -> bpy.types.Object | None:
@@ -108,8 +118,8 @@ def cloud_of(lidar: bpy.types.Object) -> bpy.types.Object | None:
     return next((child for child in lidar.children if role(child) == CLOUD), None)
 
 
-def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray], colour_by: str = "entropy") -> None:
-    """Let the mesh of a cloud hold other points, as for `show_cloud`, in place, coloured as `colours_by` does."""
+def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray]) -> None:
+    """Let the mesh of a cloud hold other points, as for `show_cloud`, in place."""
     if len(mesh.vertices) != len(points["xyz"]):
         mesh.clear_geometry()  # materials stay
         mesh.vertices.add(len(points["xyz"]))
@@ -117,7 +127,6 @@ def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray], colour_b
     for name, values in points.items():
         if name != "xyz":
             add_attribute(mesh, name, _numbers(values) if name == "vehicle" else values)
-    _colour(mesh, points, colour_by)
     mesh.update()
 
 
@@ -129,78 +138,191 @@ def _numbers(vehicle_id: np.ndarray) -> np.ndarray:
     return np.where(vehicle_id >= 0, np.searchsorted(vehicles, vehicle_id), -1)
 
 
-# --- Nodes: the look of the points ------------------------------------------------------------------------------------
+# --- Looks: node groups that show vertices as points, as assets ------------------------------------------------------
+
+# By their names: the attribute that colours, the radius [m], how strongly points shine, and what is said of them.
+STYLES = {
+    "Points": ("range", 0.045, 1.0, "Points of a LiDAR in the colors of one of their attributes"),
+    "Rings": ("ring", 0.04, 1.0, "Fine points in a color for each ring of the LiDAR"),
+    "Intensity on Black": ("intensity", 0.035, 1.5, "Fine bright points by their intensity, for a dark background"),
+    "By Vehicle": ("vehicle", 0.06, 1.0, "Large points in a color for each vehicle, gray elsewhere"),
+}
+_GROUP = "LiDAR Points"
 
 
-def _add_nodes(tree, row, *kinds):
-    """New nodes of some kinds, side by side in a row."""
-    nodes = [tree.nodes.new(kind) for kind in kinds]
-    for column, node in enumerate(nodes):
-        node.location = (220.0 * column, -260.0 * row)
-    return nodes
+def set_style(cloud: bpy.types.Object, style: str) -> None:
+    """Show a cloud in one of `STYLES`; its inputs are then those of the style. All styles become assets of the file."""
+    groups = {name: made_once(bpy.data.node_groups, f"style {name}", partial(_styled, name)) for name in STYLES}
+    shows = next((one for one in cloud.modifiers if one.type == "NODES"), None) or cloud.modifiers.new("Look", "NODES")
+    shows.node_group = groups[style]
+    set_look(cloud, {one.name: one.default_value for one in _inputs(groups[style]) if hasattr(one, "default_value")})
 
 
-def _link(tree, *links):
-    """Join outputs to inputs."""
-    for output, into in links:
-        tree.links.new(output, into)
+def set_look(cloud: bpy.types.Object, inputs: Mapping[str, object]) -> None:
+    """Set inputs of the node group that shows a cloud, by their names; those that it does not have are left out."""
+    for shows in cloud.modifiers:
+        for one in _inputs(shows.node_group) if shows.type == "NODES" and shows.node_group else ():
+            if one.name not in inputs:
+                continue
+            if hasattr(shows, "properties"):  # of Blender 5
+                getattr(shows.properties.inputs, one.identifier).value = inputs[one.name]
+            else:
+                shows[one.identifier] = inputs[one.name]
+    cloud.update_tag()
 
 
-def _material() -> bpy.types.Material:
+def _inputs(group):
+    """The inputs of a group: Blender 4.0 moved them."""
+    if not hasattr(group, "interface"):
+        return list(group.inputs)
+    return [one for one in group.interface.items_tree if one.item_type == "SOCKET" and one.in_out == "INPUT"]
+
+
+def _socket(group, kind, name, value=None, direction="INPUT"):
+    """A socket of the group's own."""
+    kind = f"NodeSocket{kind}"
+    if hasattr(group, "interface"):
+        made = group.interface.new_socket(name=name, in_out=direction, socket_type=kind)
+    else:
+        made = (group.inputs if direction == "INPUT" else group.outputs).new(kind, name)
+    if value is not None:
+        made.default_value = value
+    return made
+
+
+def _material(name: str, strength: float = 1.0) -> bpy.types.Material:
     """Points of the attribute `colour`, which shine by themselves, so that it is seen as it is under any light."""
 
     def make():
-        material = bpy.data.materials.new(_LOOK)
-        material.diffuse_color = (0.9, 0.6, 0.1, 1.0)
+        material = bpy.data.materials.new(name)
+        material.diffuse_color = (1.0, 0.75, 0.2, 1.0)  # all that solid views show
         tree = nodes_of(material)
         tree.nodes.clear()
-        kinds = ("ShaderNodeAttribute", "ShaderNodeEmission", "ShaderNodeOutputMaterial")
-        colour, shine, output = _add_nodes(tree, 0, *kinds)
-        colour.attribute_name = _COLOUR
-        _link(tree, (colour.outputs["Color"], shine.inputs["Color"]), (shine.outputs[0], output.inputs["Surface"]))
+        colour = _node(tree, "ShaderNodeAttribute", attribute_name=_COLOUR)
+        shine = _node(tree, "ShaderNodeEmission", {0: colour.outputs["Color"], 1: strength})
+        _node(tree, "ShaderNodeOutputMaterial", {0: shine.outputs[0]})
         return material
 
-    return made_once(bpy.data.materials, _LOOK, make)
+    return made_once(bpy.data.materials, name, make)
 
 
-def _points() -> bpy.types.NodeTree:
-    """The node group that shows vertices as points; their radius is an input of the modifier."""
-    group = bpy.data.node_groups.new(_LOOK, "GeometryNodeTree")
-    _socket(group, "Geometry", "INPUT", "NodeSocketGeometry")
-    _socket(group, "Radius", "INPUT", "NodeSocketFloat").default_value = _RADIUS_M
-    _socket(group, "Geometry", "OUTPUT", "NodeSocketGeometry")
-    given, made, coloured, result = _add_nodes(
-        group, 0, "NodeGroupInput", "GeometryNodeMeshToPoints", "GeometryNodeSetMaterial", "NodeGroupOutput"
-    )
-    coloured.inputs["Material"].default_value = _material()
-    vertices, radius = given.outputs["Geometry"], given.outputs["Radius"]
-    _link(
-        group,
-        (vertices, made.inputs["Mesh"]),
-        (radius, made.inputs["Radius"]),
-        (coloured.outputs["Geometry"], result.inputs["Geometry"]),
-    )
-    shown = made.outputs[0]
-    if bpy.app.version < (4, 0):  # whose Eevee shows no attributes of points: real faces, though slow to make
-        ball, placed, real = _add_nodes(
-            group, 1, "GeometryNodeMeshIcoSphere", "GeometryNodeInstanceOnPoints", "GeometryNodeRealizeInstances"
-        )
-        ball.inputs["Subdivisions"].default_value = 1
-        _link(
-            group,
-            (radius, ball.inputs["Radius"]),
-            (vertices, placed.inputs["Points"]),
-            (ball.outputs["Mesh"], placed.inputs["Instance"]),
-            (placed.outputs["Instances"], real.inputs["Geometry"]),
-        )
-        group.nodes.remove(made)
-        shown = real.outputs["Geometry"]
-    _link(group, (shown, coloured.inputs["Geometry"]))
+def _styled(style):
+    """The node group of a style: that of all, with other values of its inputs."""
+    colour_by, radius_m, strength, told = STYLES[style]
+    own = {"Color By": colour_by, "Radius": radius_m}
+    own["Material"] = _material(_MATERIAL if style == "Points" else style, strength)
+    group = _points() if style == "Points" else made_once(bpy.data.node_groups, "style Points", _points).copy()
+    for one in _inputs(group):
+        if one.name in own:
+            one.default_value = own[one.name]
+    group.name = _GROUP if style == "Points" else style
+    group.asset_mark()
+    group.asset_data.description = told
     return group
 
 
-def _socket(group, name, direction, kind):
-    """A socket of the group's own: Blender 4.0 moved them."""
-    if hasattr(group, "interface"):
-        return group.interface.new_socket(name=name, in_out=direction, socket_type=kind)
-    return (group.inputs if direction == "INPUT" else group.outputs).new(kind, name)
+def _node(tree, kind, inputs=None, **settings):
+    """A new node, with settings, and its inputs, by index or name, joined to an output or set."""
+    node = tree.nodes.new(kind)
+    node.location = (200.0 * (len(tree.nodes) % 8), -300.0 * (len(tree.nodes) // 8))
+    for name, value in settings.items():
+        setattr(node, name, value)
+    sockets = [one for one in node.inputs if one.enabled]
+    for key, value in (inputs or {}).items():
+        into = sockets[key] if isinstance(key, int) else next(one for one in sockets if one.name == key)
+        if isinstance(value, bpy.types.NodeSocket):
+            tree.links.new(value, into)
+        else:
+            into.default_value = value
+    return node
+
+
+def _out(tree, kind, inputs=None, **settings):
+    """The first output of a new node."""
+    return next(one for one in _node(tree, kind, inputs, **settings).outputs if one.enabled)
+
+
+def _math(tree, operation, *values):
+    return _out(tree, "ShaderNodeMath", dict(enumerate(values)), operation=operation)
+
+
+def _chosen(tree, kind, which, no, yes):
+    return _out(tree, "GeometryNodeSwitch", {"Switch": which, "False": no, "True": yes}, input_type=kind)
+
+
+def _ramp_of(tree, value, colours):
+    """What `_ramp` does, in nodes."""
+    node = _node(tree, "ShaderNodeValToRGB", {0: value})
+    stops = node.color_ramp.elements
+    for place in np.linspace(0.0, 1.0, len(colours))[1:-1]:
+        stops.new(place)
+    for stop, colour in zip(stops, colours, strict=True):
+        stop.color = (*colour, 1.0)
+    return node.outputs[0]
+
+
+def _colours(tree, shown, by):
+    """What `colours_by` does, in nodes."""
+
+    def read(name):
+        return _out(tree, "GeometryNodeInputNamedAttribute", {"Name": name}, data_type="FLOAT")
+
+    def named(name):
+        return _out(tree, "FunctionNodeCompare", {"A": by, "B": name}, data_type="STRING", operation="EQUAL")
+
+    value, range_m = read(by), read("range")
+    statistic = _node(tree, "GeometryNodeAttributeStatistic", {"Geometry": shown, "Attribute": value})
+    most = next(one for one in statistic.outputs if one.name == "Max" and one.enabled)
+    share = _math(tree, "DIVIDE", value, most)
+    share = _chosen(tree, "FLOAT", named("intensity"), share, _math(tree, "SQRT", value))
+    turned = _math(tree, "FRACT", _math(tree, "MULTIPLY", _math(tree, "MODULO", value, float(_AFTER)), _GOLDEN))
+    hue, grey = _ramp_of(tree, turned, _HUES), _ramp_of(tree, turned, _GREY)
+    hue = _chosen(tree, "RGBA", _math(tree, "GREATER_THAN", value, -0.5), grey, hue)
+    elsewhere = _ramp_of(tree, _math(tree, "DIVIDE", range_m, _FADED_M), _FADING)
+    on_vehicle = _math(tree, "GREATER_THAN", read("vehicle"), -0.5)
+    entropy = _chosen(tree, "RGBA", on_vehicle, elsewhere, _ramp_of(tree, value, _BY_ENTROPY))
+    colour = _chosen(tree, "RGBA", named("entropy"), _ramp_of(tree, share, _VIRIDIS), entropy)
+    for name in _NAMED:
+        colour = _chosen(tree, "RGBA", named(name), colour, hue)
+    return colour
+
+
+def _points() -> bpy.types.NodeTree:
+    """The node group that shows vertices, or points of a point cloud, in the colours of one of their attributes."""
+    tree = bpy.data.node_groups.new(_GROUP, "GeometryNodeTree")
+    for kind, name, value in (
+        ("Geometry", "Geometry", None),
+        ("Material", "Material", None),
+        ("Float", "Radius", 0.0),
+        ("String", "Color By", ""),
+        ("Float", "Range From", 0.0),
+        ("Float", "Range To", 1e6),
+    ):
+        _socket(tree, kind, name, value)
+    _socket(tree, "Geometry", "Geometry", direction="OUTPUT")
+    if hasattr(tree, "is_modifier"):
+        tree.is_modifier = True
+    given = _node(tree, "NodeGroupInput").outputs
+    shown, radius = given["Geometry"], given["Radius"]
+    colour = _colours(tree, shown, given["Color By"])
+    kind = {"data_type": "FLOAT_COLOR", "domain": "POINT"}
+    shown = _out(tree, "GeometryNodeStoreNamedAttribute", {0: shown, "Name": _COLOUR, "Value": colour}, **kind)
+    range_m = _out(tree, "GeometryNodeInputNamedAttribute", {"Name": "range"}, data_type="FLOAT")
+    outside = [
+        _math(tree, "LESS_THAN", range_m, given["Range From"]),
+        _math(tree, "GREATER_THAN", range_m, given["Range To"]),
+    ]
+    shown = _out(tree, "GeometryNodeDeleteGeometry", {0: shown, 1: _math(tree, "MAXIMUM", *outside)}, domain="POINT")
+    if bpy.app.version < (4, 0):  # whose Eevee shows no attributes of points: real faces, though slow to make
+        ball = _out(tree, "GeometryNodeMeshIcoSphere", {"Radius": radius, "Subdivisions": 1})
+        shown = _out(tree, "GeometryNodeInstanceOnPoints", {"Points": shown, "Instance": ball})
+        shown = _out(tree, "GeometryNodeRealizeInstances", {0: shown})
+    else:  # a style that is dragged onto a cloud finds the points of the one before
+        points = _node(tree, "GeometryNodeSeparateComponents", {0: shown}).outputs["Point Cloud"]
+        again = _out(tree, "GeometryNodeSetPointRadius", {0: points, "Radius": radius})
+        both = _node(tree, "GeometryNodeJoinGeometry", {0: again})
+        tree.links.new(_out(tree, "GeometryNodeMeshToPoints", {0: shown, "Radius": radius}), both.inputs[0])
+        shown = both.outputs[0]
+    shown = _out(tree, "GeometryNodeSetMaterial", {0: shown, "Material": given["Material"]})
+    _node(tree, "NodeGroupOutput", {0: shown})
+    return tree
