@@ -50,14 +50,17 @@ class Pieces:
     radius: np.ndarray
 
 
-def cut_vehicles(vehicles: Vehicles, detail: str) -> Pieces:
-    """Cut each vehicle's shape at the level of detail `detail` along its length, into pieces of `PIECE_LENGTH_M`."""
-    shapes = shape_names(vehicles)
+def cut_vehicles(vehicles: Vehicles, detail: str, own: np.ndarray | None = None) -> Pieces:
+    """Cut each vehicle's shape at the level of detail `detail` along its length, into pieces of `PIECE_LENGTH_M`.
+
+    Of those that are `own`, (n,) bool, the box is cut: they have a mesh of the user's.
+    """
+    shapes, own = shape_names(vehicles), np.zeros(len(vehicles), dtype=bool) if own is None else own
     pieces = np.maximum(np.ceil(vehicles.size_m[:, 0] / PIECE_LENGTH_M), 1).astype(int)
     corners = [np.empty((0, 8, 3))]
-    for name, number in sorted(set(zip(shapes.tolist(), pieces.tolist(), strict=True))):
-        rows = np.flatnonzero((shapes == name) & (pieces == number))
-        unit = _unit_corners(name, detail, number).reshape(-1, 3)
+    for name, number, boxed in sorted(set(zip(shapes.tolist(), pieces.tolist(), own.tolist(), strict=True))):
+        rows = np.flatnonzero((shapes == name) & (pieces == number) & (own == boxed))
+        unit = _unit_corners(name, "box" if boxed else detail, number).reshape(-1, 3)
         placed = place(unit, vehicles.centre_m[rows], vehicles.size_m[rows], vehicles.heading_rad[rows])
         corners.append(placed.reshape(-1, 8, 3))
     corners = np.ascontiguousarray(np.concatenate(corners).transpose(2, 1, 0))

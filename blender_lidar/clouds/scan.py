@@ -123,7 +123,7 @@ class FrameScan:
     ) -> None:
         seen = observation.at(vehicles.time_s)
         self._shapes, self._vehicles, self._seen, self._ground = shapes, vehicles, seen, ground
-        self._pieces = cut_vehicles(vehicles, seen.detail) if seen.culled else None
+        self._pieces = cut_vehicles(vehicles, seen.detail, shapes.own) if seen.culled else None
         self._reach_m = seen.lidar.reach_m
         self._model = seen.lidar.measurement(vehicles.frame)
 
@@ -156,7 +156,8 @@ class FrameScan:
 
         hits = turn.vehicles
         facing = np.abs(dot(shapes.tree.normals(hits.triangle).T, hits.directions))
-        meet(hits.beam, hits.distance, shapes.owner[hits.triangle], shapes.surface[hits.triangle], facing, NO_LABEL)
+        solid, face = shapes.solid(hits.triangle), shapes.face(hits.triangle)
+        meet(hits.beam, hits.distance, shapes.owner[solid], shapes.surface[face], facing, NO_LABEL)
         for beam, away, made_of, facing, labelled in turn.standing:
             first = away < distance[beam]
             meet(beam[first], away[first], STATIC, made_of[first], facing[first], labelled[first])
@@ -195,7 +196,7 @@ def scan(vehicles: Vehicles, observation: Observation, pose: Pose, *, ground: bo
         When the sensor is not above the ground.
     """
     none = np.zeros(len(vehicles), dtype=bool)  # nothing is scored
-    shapes = FrameShapes(vehicles, none, observation.detail, observation.caster)
+    shapes = FrameShapes(vehicles, none, observation.detail, observation.caster, observation.bodies)
     frame = FrameScan(shapes, vehicles, observation, ground=ground)
     return frame.cloud(pose, frame.turn(pose))
 

@@ -324,7 +324,7 @@ def sample(plan: DatasetPlan, number: int) -> Sample:
         scenery=_scenery(plan, scan),
     )
     none = np.zeros(len(vehicles), dtype=bool)
-    shapes = FrameShapes(vehicles, none, seen.detail, seen.caster)
+    shapes = FrameShapes(vehicles, none, seen.detail, seen.caster, seen.bodies)
     frame = FrameScan(shapes, vehicles, seen, ground=plan.scenario.plane_returns)
     hangs = scan.hangs.pose
     turn = frame.turn(hangs)

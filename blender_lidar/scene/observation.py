@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..casting.instances import OwnBodies
 from ..casting.protocol import StandingScenery
 from ..errors import InputError
 from ..metrics.catalogue import PE_VGOP
@@ -36,6 +37,8 @@ class Observation:
         How Eq. 8 is read: see `metrics.vgop.occupancy`.
     scenery : StandingScenery or None
         What stands still and hides vehicles.
+    bodies : OwnBodies or None
+        Meshes of the user's in place of our vehicles' shapes.
     culled : bool
         Whether beams that can reach no vehicle are left out; it changes no result. `raster` always does without them.
     """
@@ -46,6 +49,7 @@ class Observation:
     cell_m: float
     reading: str = "corrected"
     scenery: StandingScenery | None = None
+    bodies: OwnBodies | None = None
     culled: bool = True
 
     @property

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..casting import EXACT, caster_class
 from ..casting.culling import Pieces, cut_vehicles, revolutions
+from ..casting.instances import InstancedTree, OwnBodies
 from ..casting.protocol import Revolution, dot, take
 from ..compiled import numba_works
 from ..metrics.vgop import to_vehicle_frame
@@ -38,34 +39,55 @@ class FrameShapes:
         Level of detail, of `world.shapes.DETAILS`.
     caster : str
         A name of `casting.CASTERS`.
+    bodies : OwnBodies, optional
+        Meshes of the user's, which some of the vehicles have.
 
     Attributes
     ----------
     counted : Vehicles
         The vehicles that are scored.
-    tree : Caster
+    own : ndarray of bool, (n,), or None
+        Vehicles that have a mesh of the user's; None where none has.
+    tree : Caster or InstancedTree
         Of all triangles.
     owner : ndarray of int32, (m,)
-        Row of each triangle's vehicle in the frame.
+        Row of each triangle's vehicle in the frame; for a triangle that was met it is ``owner[solid(triangle)]``.
     counted_row : ndarray of int64, (m,)
-        Row of each triangle's vehicle among the counted; -1 where it does not count.
+        Row of each triangle's vehicle among the counted, -1 where it does not count; by `solid` likewise.
     surface : ndarray of uint8, (m,)
-        What each triangle is made of, an index into `world.meshes.SURFACES`.
+        What each triangle is made of, an index into `world.meshes.SURFACES`: ``surface[face(triangle)]``.
     """
 
-    def __init__(self, vehicles: Vehicles, counted: np.ndarray, detail: str, caster: str) -> None:
+    def __init__(
+        self, vehicles: Vehicles, counted: np.ndarray, detail: str, caster: str, bodies: OwnBodies | None = None
+    ) -> None:
         self.frame, self.detail, self.caster = vehicles.frame, detail, caster
         self.counted = vehicles.select(counted)
-        triangles = vehicle_triangles(vehicles, detail)
+        own = None if bodies is None else bodies.rows(vehicles) >= 0
+        self.own = own if own is not None and own.any() else None
+        triangles = vehicle_triangles(vehicles, detail, self.own)
         self.owner, self.surface = triangles.owner, triangles.surface
-        rows = np.append(np.where(counted, np.cumsum(counted) - 1, -1), -1)  # the last is that of `STATIC`
-        self.counted_row = rows[triangles.owner].astype(np.int64)
         self.tree = caster_class(caster)(triangles.corners, closed=True)
+        if self.own is not None:
+            self.tree = InstancedTree(self.tree, len(triangles), vehicles.select(own), bodies)
+            self.owner = np.append(self.owner, np.flatnonzero(own).astype(np.int32))
+            self.surface = np.concatenate([self.surface, *(one.surface for one in bodies.shapes.values())])
+        rows = np.append(np.where(counted, np.cumsum(counted) - 1, -1), -1)  # the last is that of `STATIC`
+        self.counted_row = rows[self.owner].astype(np.int64)
+        self._counted = counted
+
+    def solid(self, triangle: np.ndarray) -> np.ndarray:
+        """Rows in `owner` and `counted_row` of triangles that were met."""
+        return triangle if self.own is None else self.tree.solid(triangle)
+
+    def face(self, triangle: np.ndarray) -> np.ndarray:
+        """Rows in `surface` of triangles that were met."""
+        return triangle if self.own is None else self.tree.face(triangle)
 
     @cached_property
     def pieces(self) -> Pieces:
         """The counted vehicles cut for culling: beams that can reach only others hide nothing from them."""
-        return cut_vehicles(self.counted, self.detail)
+        return cut_vehicles(self.counted, self.detail, None if self.own is None else self.own[self._counted])
 
 
 # --- The frame scorer -------------------------------------------------------------------------------------------------
@@ -136,12 +158,13 @@ class FrameScorer:
         shapes: FrameShapes | None = None,
     ) -> None:
         self._observation = seen = observation.at(vehicles.time_s)
-        self.shapes = shapes or FrameShapes(vehicles, counted, seen.detail, seen.caster)
+        self.shapes = shapes or FrameShapes(vehicles, counted, seen.detail, seen.caster, seen.bodies)
         self.vehicles = self.shapes.counted
         self._measurements = [lidar.measurement(vehicles.frame) for lidar in seen.lidars]
         self.grids = ViewGrids(self.vehicles.size_m, seen.cell_m, seen.reading)
         self.compiled = None
-        if numba_works() and seen.caster != EXACT and len(self) and len(self.shapes.tree.rows):
+        ours = self.shapes.own is None  # and no instances
+        if numba_works() and seen.caster != EXACT and len(self) and ours and len(self.shapes.tree.rows):
             from .compiled_frames import CompiledScorer
 
             self.compiled = CompiledScorer(self.shapes, self.grids, seen, self._measurements)
@@ -182,7 +205,7 @@ class FrameScorer:
     def returns_of(self, pose: Pose, hits: Revolution, lidar: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Returns of one LiDAR from counted vehicles, as `vehicle_points`, given what its beams met."""
         scenery, measurement = self._observation.scenery, self._measurements[lidar]
-        row = take(self.shapes.counted_row, hits.triangle)
+        row = take(self.shapes.counted_row, self.shapes.solid(hits.triangle))
         surface = self._surface(hits) if measurement.asks_for_surface else ()
         distance = measurement.measured(hits.beam, hits.distance, *surface)
         wanted = np.flatnonzero((row >= 0) & (distance < np.inf))
@@ -211,7 +234,7 @@ class FrameScorer:
 
     def _surface(self, hits):
         """Whether hits are on glass, their reflectivity and the cosine of their incidence."""
-        surface = take(self.shapes.surface, hits.triangle)
+        surface = take(self.shapes.surface, self.shapes.face(hits.triangle))
         cosine = np.abs(dot(self.shapes.tree.normals(hits.triangle).T, hits.directions))
         return surface == GLASS, REFLECTIVITY[surface], cosine
 

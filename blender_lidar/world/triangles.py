@@ -37,8 +37,10 @@ class Triangles:
         return len(self.corners)
 
 
-def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
+def vehicle_triangles(vehicles: Vehicles, detail: str = "body", own: np.ndarray | None = None) -> Triangles:
     """Every vehicle of a frame as triangles at the level of detail `detail` of `names.DETAILS`.
+
+    Those that are `own`, (n,) bool, are left out: they have a mesh of the user's.
 
     Raises
     ------
@@ -47,9 +49,10 @@ def vehicle_triangles(vehicles: Vehicles, detail: str = "body") -> Triangles:
     """
     _check_boxes(vehicles)
     names = shape_names(vehicles)
+    ours = np.ones(len(vehicles), dtype=bool) if own is None else ~own
     corners, owner, surface = [np.empty((0, 3, 3))], [np.empty(0, np.int32)], [np.empty(0, np.uint8)]
-    for name in sorted(set(names.tolist())):
-        rows = np.flatnonzero(names == name)
+    for name in sorted(set(names[ours].tolist())):
+        rows = np.flatnonzero(ours & (names == name))
         unit = shape(name, detail)
         placed = place(unit.vertices, vehicles.centre_m[rows], vehicles.size_m[rows], vehicles.heading_rad[rows])
         corners.append(placed[:, unit.faces].reshape(-1, 3, 3))
