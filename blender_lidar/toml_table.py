@@ -39,8 +39,8 @@ class Setting:
     ----------
     kind : type
         Of its value: float, int, bool, str or list; a tuple of one of them; a number or its bounds, the lower first; a
-        dataclass for a table that it declares, or a tuple of such; a mapping for a table of numbers that are called as
-        is `allowed`.
+        dataclass for a table that it declares, or a tuple of such; a mapping for a table of numbers or texts that are
+        called as is `allowed`.
     default : object
         Its value where it is left out; without one it may not be.
     low, high, above, below : float
@@ -316,9 +316,9 @@ class TomlTable:
         value, kind = self.values.get(key), declared.kind
         entry = next(iter(get_args(kind)), None)
         if get_origin(kind) is Mapping:
-            numbers = dataclasses.replace(declared, kind=float, default=None, allowed=())
-            found = self.table(key).read(dict.fromkeys(declared.allowed, numbers))
-            return {name: number for name, number in found.items() if number is not None}
+            one = dataclasses.replace(declared, kind=get_args(kind)[1], default=None, allowed=())
+            found = self.table(key).read(dict.fromkeys(declared.allowed, one))
+            return {name: value for name, value in found.items() if value is not None}
         if value is None:  # which an option may say
             if declared.default is ...:
                 raise InputError(f"{self.where(key)}: is missing")

@@ -180,8 +180,9 @@ def kind_text(declared) -> str:
 
 
 def default(declared) -> str:
-    is_table = get_origin(declared.kind) is Mapping
-    return {...: "required", None: "", (): ""}.get(declared.default, "" if is_table else toml_value(declared.default))
+    if get_origin(declared.kind) is Mapping:
+        return ""
+    return {...: "required", None: "", (): ""}.get(declared.default, toml_value(declared.default))
 
 
 def allowed(declared) -> str:

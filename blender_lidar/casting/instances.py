@@ -43,10 +43,8 @@ class OwnBodies:
     @cached_property
     def digests(self) -> dict[str, str]:
         """SHA-256 of each mesh, by its kind."""
-        return {
-            kind: hashlib.sha256(b"".join(map(np.ascontiguousarray, (one.vertices[one.faces], one.surface)))).hexdigest()
-            for kind, one in self.shapes.items()
-        }
+        contents = {kind: (one.vertices[one.faces].tobytes(), one.surface) for kind, one in self.shapes.items()}
+        return {kind: hashlib.sha256(b"".join(parts)).hexdigest() for kind, parts in contents.items()}
 
     def rows(self, vehicles: Vehicles) -> np.ndarray:
         """Which of the meshes each vehicle has, counted from 0 in their order, (n,) int; -1 for a body of ours."""

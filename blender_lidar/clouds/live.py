@@ -64,9 +64,7 @@ class LiveFrame:
     ) -> None:
         self.frame, self.scoring, vehicles = frame, scoring, frame.vehicles
         self.observation = observation = observation.at(vehicles.time_s)
-        self.shapes = FrameShapes(
-            vehicles, frame.counted, observation.detail, observation.caster, observation.bodies
-        )
+        self.shapes = FrameShapes(vehicles, frame.counted, observation.detail, observation.caster, observation.bodies)
         self._scan = FrameScan(self.shapes, vehicles, observation, ground=ground)
         self._scenery = observation.scenery
         self._about: np.ndarray | None = None  # the middle of where the scenery's tree is ready

@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..casting import resolve
+from ..casting.instances import OwnBodies
 from ..casting.protocol import StandingScenery
 from ..metrics.vgop import pe_vgop, to_vehicle_frame
 from ..scene.mounting import Layout, Mounting
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario
 from ..scene.settings import ObjectiveSettings
-from ..scene.site import lattice_of, observation_of, standing_scenery
+from ..scene.site import lattice_of, observation_of, read_bodies, standing_scenery
 from ..sensors.beams import BeamLattice
 from ..traffic.boxes import DetectedBoxes
 from ..traffic.vehicles import Vehicles
@@ -44,6 +45,8 @@ class MountedSensor:
         A name of `casting.CASTERS`.
     scenery : StandingScenery or None
         What stands still.
+    bodies : OwnBodies or None
+        Meshes of the user's in place of our vehicles'.
     """
 
     scenario: Scenario
@@ -51,10 +54,11 @@ class MountedSensor:
     lattice: BeamLattice
     caster: str
     scenery: StandingScenery | None
+    bodies: OwnBodies | None = None
 
     def scan(self, vehicles: Vehicles) -> PointCloud:
         """One revolution over a frame, ground included."""
-        observation = observation_of(self.scenario, self.caster, self.scenery)
+        observation = observation_of(self.scenario, self.caster, self.scenery, bodies=self.bodies)
         return scan(vehicles, observation, self.mounting.pose, ground=self.scenario.plane_returns)
 
     def cloud_header(self, vehicles: Vehicles) -> dict[str, object]:
@@ -97,9 +101,10 @@ class MountedSensor:
 def mounted_sensors(scenario: Scenario, layout: Layout, more: Scenery | None = None) -> tuple[MountedSensor, ...]:
     """Each of the scene's sensors at its mounting: all see the same scenery."""
     caster = resolve(scenario.model.caster, "caster")
-    scenery = standing_scenery(scenario, caster, layout, more)
+    scenery, bodies = standing_scenery(scenario, caster, layout, more), read_bodies(scenario)
     each = zip(scenario.each, layout, strict=True)
-    return tuple(MountedSensor(one, mounting, lattice_of(one.sensor), caster, scenery) for one, mounting in each)
+    stands = caster, scenery, bodies
+    return tuple(MountedSensor(one, mounting, lattice_of(one.sensor), *stands) for one, mounting in each)
 
 
 def fused_moment(

@@ -172,7 +172,7 @@ def believed(cloud: PointCloud, hangs: Pose, planned: Pose) -> PointCloud:
 def sensor_at(site: Site, mounting: Mounting) -> MountedSensor:
     """The site's sensor at a mounting."""
     seen = site.observation
-    return MountedSensor(site.scenario, mounting, seen.lattice, seen.caster, seen.scenery)
+    return MountedSensor(site.scenario, mounting, seen.lattice, seen.caster, seen.scenery, seen.bodies)
 
 
 Clouds = Callable[[Vehicles], PointCloud]

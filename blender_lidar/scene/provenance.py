@@ -25,10 +25,13 @@ _PLUGINS = [
 CODE = "blender_lidar"  # of an identity: version, and a digest of the source
 
 
-def run_identity(scenario: Scenario, caster: str, scenery_digest: str | None = None) -> dict[str, object]:
+def run_identity(
+    scenario: Scenario, caster: str, scenery_digest: str | None = None, bodies: Mapping[str, str] | None = None
+) -> dict[str, object]:
     """What must be the same for two runs to have the same result: code, settings and the content of the input files.
 
-    Of scenery it is the `Scenery.digest` that counts, None where there is none.
+    Of scenery it is the `Scenery.digest` that counts, None where there is none, and of vehicles' own bodies that of
+    each, by its kind.
     """
     tables = scenario.as_tables()
     tables["model"] = {"caster": caster}  # the number of workers changes nothing
@@ -39,8 +42,10 @@ def run_identity(scenario: Scenario, caster: str, scenery_digest: str | None = N
         name = tables[table][key]
         if is_plugin(name):
             tables[table][key] = f"{short_name(name)}, {_CONTENT}{file_digest(plugin_file(name))}"
+    if bodies:
+        tables["world"]["vehicles"] = {kind: f"triangles with SHA-256 {digest}" for kind, digest in bodies.items()}
     if scenery_digest is not None:
-        files = [key for table, key in scenario.files if table == "world"]
+        files = [key for table, key in scenario.files if table == "world" and key in tables[table]]
         tables["world"] |= dict.fromkeys(files, "file that is read")  # it may draw on further files
         tables["world"]["scenery"] = f"triangles with SHA-256 {scenery_digest}"
     flat = {f"[{table}] {key}": value for table, content in tables.items() for key, value in content.items()}

@@ -171,6 +171,7 @@ class Scenario:
                 named[table, "vehicle_types" if number == 1 else f"vehicle_types {number}"] = path
         if isinstance(self.road, MappedRoad) and self.road.path:
             named["road", "net" if self.road.net else "opendrive"] = self.road.path
+        named |= {("world", f"vehicles {kind}"): file for kind, (file, _) in self.world.bodies.items()}
         named["plan", "image"] = self.plan.image
         if not self.lidar_name:
             named["deployment", "poles"] = self.deployment.poles_file
@@ -216,6 +217,9 @@ class Scenario:
         for (table, key), path in self.files.items():
             key, _, number = key.partition(" ")
             if key == "meta":  # found beside the recording
+                continue
+            if key == "vehicles":
+                tables[table][key][number] = str(Path(self.world.vehicles[number]).resolve())
                 continue
             whole, before = str(Path(path).resolve()), tables[table][key] if number else []
             tables[table][key] = [*before, whole] if key == "vehicle_types" else whole

@@ -52,6 +52,7 @@ _LARGEST_WEIGHT = 1e6
 _MOST_LOSS = 1e9  # in the metric's unit; sums over many vehicles stay finite
 _COEFFICIENT = {"low": 0.0, "high": 10.0}  # of DE-PSO; the paper's are below 1, and huge ones overflow
 _STATED_RANGE = dict(zip(("low", "high"), STATED_RANGE_LIMITS_M, strict=True))
+_IN_BLEND = re.compile(r"(.*?\.blend)[/\\](.+)", re.IGNORECASE)
 _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://([\w.-]+|\[[0-9A-Fa-f:.%]+\]):(?P<port>[0-9]{1,5})", re.ASCII)
 
 
@@ -410,6 +411,10 @@ def _is_blend(path: str) -> bool:
     return Path(path).suffix.lower() == ".blend"
 
 
+def _is_in_blend(path: str) -> bool:
+    return bool(_IN_BLEND.fullmatch(path))
+
+
 @dataclass(frozen=True, slots=True)
 class WorldSettings:
     """[world]: what there is, and how finely vehicles are modelled.
@@ -427,6 +432,9 @@ class WorldSettings:
         as Blender writes them.
     origin_m, heading_deg
         Origin of the road frame in the frame of these files [m], z up, and direction of its x axis there.
+    vehicles : mapping
+        Bodies of your own by class, as car = "cars.blend/Sedan": an object with its children or a collection of a
+        .blend file, fitted into each vehicle's box; one that is longer along y faces -y, else +x.
     boxes, barriers : tuple
         Fixed objects that hide vehicles; the how-to has the keys of an entry.
     pedestrians : bool
@@ -451,6 +459,9 @@ class WorldSettings:
     up: str | None = setting(None, allowed=("y", "z"))
     origin_m: tuple[float, float, float] = setting((0.0, 0.0, 0.0), low=-_LARGEST_ORIGIN_M, high=_LARGEST_ORIGIN_M)
     heading_deg: float = setting(0.0, **HEADING)
+    vehicles: Mapping[str, str] = setting(
+        allowed=(*CLASSES, "long_truck"), is_path=True, fits=_is_in_blend, form='such as "cars.blend/Sedan"'
+    )
     boxes: tuple[BoxSettings, ...] = setting(())
     barriers: tuple[BarrierSettings, ...] = setting(())
     pedestrians: bool = setting(False)
@@ -458,6 +469,11 @@ class WorldSettings:
     clutter_seed: int = setting(1, low=0)
     variety: float = setting(0.0, low=0.0, high=1.0, option="--variety")
     variety_seed: int = setting(1, low=0)
+
+    @property
+    def bodies(self) -> dict[str, tuple[str, str]]:
+        """The vehicles' bodies of the user's own by kind: the file, and the name of an object or collection in it."""
+        return {kind: _IN_BLEND.fullmatch(place).groups() for kind, place in self.vehicles.items()}
 
     @property
     def has_scenery(self) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..casting import resolve
+from ..casting.instances import OwnBodies
 from ..casting.protocol import StandingScenery
 from ..errors import InputError
 from ..metrics.metric import Field
@@ -147,6 +148,22 @@ def _heights_text(found: Scenery) -> str:
     return f"z {z.min():.1f} to {z.max():.1f} m in the road frame" if len(found) else "nothing within reach"
 
 
+def read_bodies(scenario: Scenario) -> OwnBodies | None:
+    """The meshes of [world.vehicles]; None without any.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        When a file or what it names is not there, or has no faces.
+    MissingExtraError
+        When Blender is not installed.
+    """
+    where, found = scenario.where("world", "vehicles"), {}
+    for kind, (file, name) in scenario.world.bodies.items():
+        found[kind] = blender_room("bodies", f"{where} {kind}").read_body(file, name, f"{where} {kind}")
+    return OwnBodies(found) if found else None
+
+
 # --- The site ---------------------------------------------------------------------------------------------------------
 
 _VIEW_SLACK_M = 30.0  # vehicles whose centre is this far beyond the range can still reach into it
@@ -217,6 +234,7 @@ def prepare(
     *,
     scenery: Scenery | None = None,
     recordings: Sequence[Recording] | None = None,
+    bodies: OwnBodies | None = None,
 ) -> Site:
     """Read what a scene names and check that mountings can be judged on it.
 
@@ -230,6 +248,8 @@ def prepare(
         What stands still besides what [world] says [m, road frame]; what is out of reach is left out.
     recordings : sequence of Recording, optional
         What `read_recordings` has read of the scenario already; read from its files if left out.
+    bodies : OwnBodies, optional
+        What `read_bodies` has read likewise.
 
     Raises
     ------
@@ -242,7 +262,8 @@ def prepare(
     with unchanged_inputs(scenario):
         lidars, recordings = lidars_of(scenario), recordings or read_recordings(scenario)
         standing = standing_scenery(scenario, caster, given, scenery)
-        identity = run_identity(scenario, caster, standing and standing.scenery.digest)
+        bodies = bodies or read_bodies(scenario)
+        identity = run_identity(scenario, caster, standing and standing.scenery.digest, bodies and bodies.digests)
     region = region_of(scenario.region, scenario.road_map)
     plans = [
         plan_frames(
@@ -282,7 +303,7 @@ def prepare(
     searched = _weighted(searched, plan.search_recording, scenario)
     held_out = _weighted(held_out, plan.holdout_recording, scenario)
     check_weights(objective, searched, held_out, scenario.where("objective", ""))
-    observation, scoring = observation_of(scenario, caster, standing, lidars), scoring_of(scenario)
+    observation, scoring = observation_of(scenario, caster, standing, lidars, bodies), scoring_of(scenario)
     return Site(scenario, observation, scoring, recording, plan, searched, held_out, identity)
 
 
@@ -358,9 +379,16 @@ def lidars_of(scenario: Scenario) -> tuple[Lidar, ...]:
 
 
 def observation_of(
-    scenario: Scenario, caster: str, scenery: StandingScenery | None, lidars: Sequence[Lidar] | None = None
+    scenario: Scenario,
+    caster: str,
+    scenery: StandingScenery | None,
+    lidars: Sequence[Lidar] | None = None,
+    bodies: OwnBodies | None = None,
 ) -> Observation:
-    """How a scene's LiDARs see vehicles; `lidars` are those of `lidars_of`, where they are made already."""
+    """How a scene's LiDARs see vehicles; `lidars` are those of `lidars_of`, where they are made already.
+
+    `bodies` are meshes of the user's in place of ours.
+    """
     return Observation(
         tuple(lidars or lidars_of(scenario)),
         caster=caster,
@@ -368,6 +396,7 @@ def observation_of(
         cell_m=scenario.objective.cell_m,
         reading=scenario.objective.reading,
         scenery=scenery,
+        bodies=bodies,
     )
 
 

@@ -152,8 +152,9 @@ def visible_instances(
     rendered, unit_m = set(_rendered_objects(scene.collection)), scene.unit_settings.scale_length
     into = to_road(scene, depsgraph)
     for instance in depsgraph.object_instances:
-        item = instance.object
-        if item.type == "MESH" and role(item) not in DISPLAY_ONLY and wanted(item) and _is_seen(instance, rendered):
+        item, by = instance.object, instance.parent
+        ours = by if instance.is_instance and role(by) == VEHICLE else item  # a vehicle may be made of own objects
+        if item.type == "MESH" and role(item) not in DISPLAY_ONLY and wanted(ours) and _is_seen(instance, rendered):
             matrix = into @ np.array(instance.matrix_world, dtype=float)
             yield item, unit_m * matrix[:3, :3].T, unit_m * matrix[:3, 3]
 
@@ -330,19 +331,36 @@ def read_site(path: str | Path, keep: Keep | None = None) -> Scenery:
 @contextmanager
 def _linked_scene(path: Path) -> Iterator[bpy.types.Scene]:
     """The first scene of a .blend file by name, linked while it lasts."""
+
+    def choose(there, here):
+        here.scenes = sorted(there.scenes)[:1]
+
+    with linked(path, choose) as here:
+        if not here.scenes or here.scenes[0] is None:
+            raise InputError(f"{path}: has no scene")
+        yield here.scenes[0]
+
+
+@contextmanager
+def linked(path: Path, choose: Callable, *, link: bool = True) -> Iterator[bpy.types.BlendData]:
+    """What `choose` asks for of a .blend file's names: linked while it lasts, or else copied into this one.
+
+    Raises
+    ------
+    InputError
+        When Blender cannot read it, or it takes objects from a file that is not there.
+    """
     before = set(bpy.data.libraries)
     try:
-        with bpy.data.libraries.load(str(path.resolve()), link=True) as (there, here):
-            here.scenes = sorted(there.scenes)[:1]
+        with bpy.data.libraries.load(str(path.resolve()), link=link) as (there, here):
+            choose(there, here)
     except (OSError, RuntimeError) as error:
         raise InputError(f"{path}: Blender {bpy.app.version_string} cannot read it; is it a .blend file?") from error
     try:
-        if not here.scenes or here.scenes[0] is None:
-            raise InputError(f"{path}: has no scene")
         for library in bpy.data.libraries:
             if library not in before and not Path(bpy.path.abspath(library.filepath)).exists():
                 raise InputError(f"{path}: takes objects from {library.filepath}, which is not there")
-        yield here.scenes[0]
+        yield here
     finally:
         bpy.data.batch_remove([library for library in bpy.data.libraries if library not in before])
 
