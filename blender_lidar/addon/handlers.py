@@ -5,6 +5,7 @@ from bpy.app.handlers import persistent
 
 from ..errors import BlenderLidarError
 from ..world.blender.objects import PART, frame_of, lidars, orphans, role
+from ..world.blender.road import show_ground
 from . import operators, properties, session
 
 classes = ()
@@ -19,10 +20,10 @@ def on_load(*_) -> None:
 
 @persistent
 def on_update(scene, *_) -> None:
-    """Complete LiDARs without their parts or a road frame, and remove the parts of deleted ones, at the next moment."""
+    """Complete bare LiDARs and roads without their frame, and remove parts of deleted LiDARs, at the next moment."""
     found = lidars(scene)
     bare = any(not any(role(child) == PART for child in lidar.children) for lidar in found)
-    if not bare and not (found and frame_of(scene) is None) and not orphans(scene):
+    if not bare and not (found and session.has_road(scene) and frame_of(scene) is None) and not orphans(scene):
         return
     if not bpy.app.background and not bpy.app.timers.is_registered(adopt_all):
         bpy.app.timers.register(adopt_all, first_interval=0.0)
@@ -38,7 +39,7 @@ def adopt_all() -> None:
 
 
 def on_change(block: bpy.types.ID, table: str) -> None:
-    """Show another moment, hang LiDARs beside another road, or dress one as its new model.
+    """Show another moment, hang LiDARs beside another road, hide the ground, or dress a LiDAR as its new model.
 
     What is wrong stands at the top of the tab.
     """
@@ -52,6 +53,8 @@ def on_change(block: bpy.types.ID, table: str) -> None:
             operators.show_moment(scene)
         elif table == "road":
             properties.hang_again(scene)
+        elif table == "world":
+            show_ground(scene, session.view_layer_of(scene), shown=group.world.ground)
         elif table == "sensor" and block != scene:
             operators.dress(block, operators.lattice_of(session.sensor_of(block)))
     except BlenderLidarError as error:

@@ -66,7 +66,7 @@ def update() -> None:
     """Look again from every live LiDAR of the scenes that are open in windows, where anything has changed."""
     live = set()
     for scene, layer in _open_scenes():
-        found = lidars(scene) if scene.blender_lidar.loaded else []
+        found = lidars(scene)
         together = any(lidar.blender_lidar.live and lidar.blender_lidar.in_layout for lidar in found)
         mine = [one for one in found if one.blender_lidar.live or (together and one.blender_lidar.in_layout)]
         live |= {session.uid_of(lidar) for lidar in mine}
@@ -133,12 +133,12 @@ def _update_one(scene, lidar, shown, objects) -> bool:
         shown.scenario, shown.baseline = session.scenario_from(scene, lidar), None
         frame = shown.frame = session.live_frame(scene, lidar)
     if shown.baseline is None:
-        shown.baseline = frame.look(shown.scenario.baseline.pose, [objects])
+        shown.baseline = frame.look(shown.scenario.baseline.pose, [objects]) if frame.scoring else None
     shown.look = look = frame.look(mounting.pose, [objects])
     shown.bits = entropy_of_vehicles(look.cloud, vehicles, shown.scenario.objective)
     shown.colours = colours_by(group.colour_by, vertices_of(look.cloud, vehicles, shown.bits))
     shown.batch = None
-    session.store(lidar, vehicles, look, shown.baseline)
+    session.store(lidar, vehicles, look, shown.baseline or look)
     if lidar == session.active_lidar(scene):
         colour_vehicles(*_coloured(scene, vehicles, shown.bits))
     redraw()
@@ -151,7 +151,8 @@ def _update_layout(scene, hung) -> None:
     scene.blender_lidar.fused = ""
     if len(shown) < 2 or any(one.problem for one in shown):
         return
-    looks, cloud = [(one.look, one.baseline) for one in shown], joined_clouds([one.look.cloud for one in shown])
+    looks = [(one.look, one.baseline or one.look) for one in shown]
+    cloud = joined_clouds([one.look.cloud for one in shown])
     session.store_layout(scene, hung, [one.frame for one in shown], looks)
     if session.active_lidar(scene) in hung:
         vehicles = shown[0].frame.frame.vehicles

@@ -6,7 +6,8 @@ from functools import wraps
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, StringProperty
+import numpy as np
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ..casting import resolve
@@ -42,13 +43,15 @@ from ..world.blender.objects import (
     to_road,
 )
 from ..world.blender.points import show_cloud
-from ..world.blender.road import build_road
-from ..world.blender.site import open_scenery
+from ..world.blender.road import build_road, show_ground
+from ..world.blender.site import is_own, open_scenery
 from ..world.blender.traffic import show_vehicles
 from ..world.scenery import Scenery
 from . import properties, session
 
 _LEAST_REACH_M = 120.0  # of the road that is shown
+_WITH_FACES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
+_STAND_OFF_M = 30.0  # so large may be what a new LiDAR stands off from
 
 
 def one_line_errors(execute: Callable) -> Callable:
@@ -70,8 +73,20 @@ def has_traffic(context: bpy.types.Context) -> bool:
     return context.scene.blender_lidar.loaded
 
 
-class NeedsTraffic:
-    """An operator that is grey until traffic is loaded, and says so."""
+class NeedsLidar:
+    """An operator that is grey until there is a LiDAR, and says so."""
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there is one."""
+        if session.active_lidar(context.scene) is None:
+            cls.poll_message_set("Add a LiDAR first: Add > LiDAR")
+            return False
+        return True
+
+
+class NeedsTraffic(NeedsLidar):
+    """An operator that is grey until traffic is loaded as well, and says so."""
 
     @classmethod
     def poll(cls, context):
@@ -79,10 +94,7 @@ class NeedsTraffic:
         if not has_traffic(context):
             cls.poll_message_set("Load traffic first: the LiDAR tab of the sidebar, Traffic")
             return False
-        if session.active_lidar(context.scene) is None:
-            cls.poll_message_set("Add a LiDAR first: Add > LiDAR")
-            return False
-        return True
+        return super().poll(context)
 
 
 # --- Traffic ----------------------------------------------------------------------------------------------------------
@@ -93,7 +105,11 @@ def show_traffic(scene: bpy.types.Scene, recording: Recording, frame: int, scene
     group = scene.blender_lidar
     scenario = session.scenario_from(scene)
     reach = max(_LEAST_REACH_M, scenario.sensor.range_gate_m)
+    bare = frame_of(scene) is None
     build_road(scene, scenario.road_map, scenario.deployment.nominal_xy, reach)
+    for lidar in lidars(scene) if bare else ():  # which has no pole yet
+        dress(lidar, lattice_of(session.sensor_of(lidar)))
+    show_ground(scene, session.view_layer_of(scene), shown=scene.blender_lidar.world.ground)
     build_scenery(scene, scenery)
     for item in collection(scene, "Scenery", STANDING).objects:
         item.hide_select = True  # it shows what the file says; moving it would move nothing that is scanned
@@ -121,7 +137,7 @@ class BLENDER_LIDAR_OT_load(bpy.types.Operator):
             return _take_over(self, context, Path(path))
         scenery = _standing(session.scenario_from(scene, session.active_lidar(scene)))
         recording = session.recording_of(scene)
-        show_traffic(scene, recording, scene.blender_lidar.frame, scenery)
+        show_traffic(scene, recording, scene.blender_lidar.known_frame, scenery)
         return _loaded(self, recording)
 
 
@@ -219,9 +235,12 @@ def select(context: bpy.types.Context, lidar: bpy.types.Object) -> None:
 
 
 class BLENDER_LIDAR_OT_add(bpy.types.Operator):
-    """Add a LiDAR on a pole at the 3D cursor, at least as high as the baseline"""
+    """Add a LiDAR at the 3D cursor: beside what stands there or, on a road, on a pole as high as the baseline"""
 
     bl_idname, bl_label, bl_options = "blender_lidar.add", "LiDAR", {"REGISTER", "UNDO"}
+    model: EnumProperty(name="Model", items=properties.MODELS, default="RS-16", options={"SKIP_SAVE"})
+    height_m: FloatProperty(name="Height", unit="LENGTH", description="Height of the sensor", options={"SKIP_SAVE"})
+    live: BoolProperty(name="Live", description="Scan again whenever anything is moved", options={"SKIP_SAVE"})
 
     @one_line_errors
     def execute(self, context):
@@ -231,10 +250,40 @@ class BLENDER_LIDAR_OT_add(bpy.types.Operator):
         into = collection(scene, "LiDAR", SENSOR)
         if not _shows(context.view_layer.layer_collection, into):
             raise InputError(f"collection {into.name} is excluded from this view layer; tick it in the Outliner")
-        x, y, z, _ = to_road(scene) @ [*scene.cursor.location, 1.0]
-        place = {"x_m": x, "y_m": y, "height_m": max(z, properties.exact(scene.blender_lidar.baseline.height_m))}
-        select(context, add_lidar(scene, mounting_from(place, properties.road_of(scene)).pose))
+        x, y, z = scene.cursor.location
+        if session.has_road(scene):
+            x, y, z, _ = to_road(scene) @ [x, y, z, 1.0]
+            z = max(z, properties.exact(scene.blender_lidar.baseline.height_m))
+        else:
+            x, y, z = _beside_what_is_there(context, np.array([x, y, z]))
+        if not self.properties.is_property_set("height_m"):
+            self.height_m = z
+        place = {"x_m": x, "y_m": y, "height_m": properties.exact(self.height_m)}
+        lidar = add_lidar(scene, mounting_from(place, properties.road_of(scene)).pose)
+        if self.properties.is_property_set("model"):
+            lidar.blender_lidar.name_ = self.model
+        select(context, lidar)
+        lidar.blender_lidar.live = self.live
         return {"FINISHED"}
+
+
+def _beside_what_is_there(context, place: np.ndarray) -> np.ndarray:
+    """A place (3,), or where from a LiDAR that faces +y sees the smallest visible object in whose box it lies.
+
+    That is as far off as the object is large; where it is too large to be seen from there the place stays.
+    """
+    found = []
+    for item in context.view_layer.objects:
+        if item.type in _WITH_FACES and is_own(item) and item.visible_get(view_layer=context.view_layer):
+            world = np.array(item.matrix_world)
+            box = np.array(item.bound_box) @ world[:3, :3].T + world[:3, 3]
+            found.append((box.min(axis=0), box.max(axis=0)))
+    boxes = [(low, high) for low, high in found if (low < place).all() and (place < high).all()]
+    if not boxes:
+        return place
+    low, high = min(boxes, key=lambda box: np.ptp(box, axis=0).max())
+    size, middle = (high - low).max(), 0.5 * (low + high)
+    return np.array([middle[0], low[1] - size, middle[2]]) if size < _STAND_OFF_M else place
 
 
 def _shows(layer: bpy.types.LayerCollection, of: bpy.types.Collection) -> bool:
@@ -266,8 +315,8 @@ def adopt(scene: bpy.types.Scene) -> None:
     stored = scene.get(SETTINGS)
     if stored and scene.blender_lidar.schema == 0:
         _fill_from(scene)
-    found, carried = lidars(scene), frame_of(scene) is not None
-    if found:
+    found, carried = lidars(scene), frame_of(scene) is not None or not session.has_road(scene)
+    if found and not carried:
         road_frame(scene)
     for lidar in found:
         if lidar.blender_lidar.schema == 0:
@@ -307,11 +356,12 @@ def _checked(scene: bpy.types.Scene, lidar: bpy.types.Object) -> tuple[Scenario,
     """The settings of a LiDAR, how it hangs, and the frame that is shown, in which it hangs clear."""
     scenario, mounting = session.scenario_from(scene, lidar), properties.mounting_of(lidar)
     vehicles = session.vehicles_of(scene)
-    check_mount_is_clear(scenario, [vehicles], {lidar.name: mounting})
+    if session.has_road(scene):
+        check_mount_is_clear(scenario, [vehicles], {lidar.name: mounting})
     return scenario, mounting, vehicles
 
 
-class BLENDER_LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
+class BLENDER_LIDAR_OT_scan(NeedsLidar, bpy.types.Operator):
     """Cast one revolution from the LiDAR, show its cloud, and score the vehicles"""
 
     bl_idname, bl_label, bl_options = "blender_lidar.scan", "Scan", {"REGISTER", "UNDO"}
@@ -325,7 +375,8 @@ class BLENDER_LIDAR_OT_scan(NeedsTraffic, bpy.types.Operator):
         for lidar, (scenario, mounting, _) in zip(hung, checked, strict=True):
             frames.append(session.live_frame(scene, lidar, exact=True))
             objects = session.exact_objects(scene, context.view_layer, scenario)
-            looks.append([frames[-1].look(of.pose, objects) for of in (mounting, scenario.baseline)])
+            look = frames[-1].look(mounting.pose, objects)
+            looks.append((look, frames[-1].look(scenario.baseline.pose, objects) if frames[-1].scoring else look))
         if len(hung) > 1:
             session.store_layout(scene, hung, frames, looks)
         for lidar, (look, base), (scenario, _, vehicles) in zip(hung, looks, checked, strict=True):
@@ -368,7 +419,7 @@ def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Vehicles]:
     return sensors[hung.index(lidar)], vehicles
 
 
-class BLENDER_LIDAR_OT_export_cloud(NeedsTraffic, bpy.types.Operator, ExportHelper):
+class BLENDER_LIDAR_OT_export_cloud(NeedsLidar, bpy.types.Operator, ExportHelper):
     """Write the cloud of the frame that is shown"""
 
     bl_idname, bl_label = "blender_lidar.export_cloud", "Export Cloud"
@@ -396,7 +447,7 @@ class FolderHelper:
         return {"RUNNING_MODAL"}
 
 
-class BLENDER_LIDAR_OT_export_labelled(NeedsTraffic, FolderHelper, bpy.types.Operator):
+class BLENDER_LIDAR_OT_export_labelled(NeedsLidar, FolderHelper, bpy.types.Operator):
     """Write the cloud of the frame that is shown, and its boxes as labels of SUSTechPOINTS"""
 
     bl_idname, bl_label = "blender_lidar.export_labelled", "Export Labelled Set"

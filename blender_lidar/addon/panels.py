@@ -11,6 +11,7 @@ from ..errors import BlenderLidarError
 from ..scene.mounting import COORDINATES
 from ..traffic.vehicles import SAME_S
 from ..world.blender.objects import pose_of
+from ..world.blender.road import hidden_ground
 from . import operators, properties, session
 
 _TAB = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "LiDAR"}
@@ -55,8 +56,10 @@ class BLENDER_LIDAR_PT_main(bpy.types.Panel):
         """Say what is wrong, and what to do first where nothing is loaded."""
         if context.scene.blender_lidar.problem:
             say(self.layout, context.scene.blender_lidar.problem, icon="ERROR")
+        if session.active_lidar(context.scene) is None:
+            self.layout.operator("blender_lidar.add", text="Add LiDAR", icon="ADD", translate=False)
         if not operators.has_traffic(context):
-            say(self.layout, "No traffic is loaded yet.", icon="INFO")
+            say(self.layout, "Load traffic to score and optimize.", icon="INFO")
             self.layout.operator("blender_lidar.load_example", icon="IMPORT", translate=False)
 
 
@@ -80,6 +83,11 @@ class BLENDER_LIDAR_PT_traffic(bpy.types.Panel):
             say(layout, session.time_text(context.scene))
             layout.prop(group, "starts_s", translate=False)
         layout.prop(group.world, "detail", text="Vehicles", translate=False)
+        if session.has_road(context.scene):
+            layout.prop(group.world, "ground", translate=False)
+        hidden = ", ".join(hidden_ground(context.scene, context.view_layer))
+        if hidden:
+            say(layout, f"Not scanned, as it is hidden or deleted: {hidden}")
 
 
 @panel("Road and File", BLENDER_LIDAR_PT_traffic.__name__, bl_options={"DEFAULT_CLOSED"})
@@ -104,27 +112,31 @@ class BLENDER_LIDAR_PT_road(bpy.types.Panel):
             say(layout, line)
 
 
-class OfTraffic:
-    """A panel that is grey until traffic is loaded."""
+class OfLidar:
+    """A panel that is there once there is a LiDAR."""
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there is one."""
+        return session.active_lidar(context.scene) is not None
 
     def draw(self, context):
-        """Grey, with why, or what the panel has."""
-        layout = self.layout
-        layout.use_property_split, layout.use_property_decorate = True, False
-        lidar = session.active_lidar(context.scene)
-        if not operators.has_traffic(context):
-            say(layout, "Load traffic first.", icon="INFO")
-        elif lidar is None:
-            say(layout, "Add a LiDAR first: Add > LiDAR.", icon="INFO")
-            layout.operator("blender_lidar.add", icon="ADD", translate=False)
-            return
-        layout.enabled = operators.has_traffic(context)
-        if lidar is not None:
-            self.draw_for(layout, context.scene, lidar)
+        """What the panel has for the active LiDAR."""
+        self.layout.use_property_split, self.layout.use_property_decorate = True, False
+        self.draw_for(self.layout, context.scene, session.active_lidar(context.scene))
+
+
+class OfTraffic(OfLidar):
+    """A panel that is there once traffic is loaded as well."""
+
+    @classmethod
+    def poll(cls, context):
+        """Whether there are both."""
+        return operators.has_traffic(context) and super().poll(context)
 
 
 @panel("Sensor", BLENDER_LIDAR_PT_main.__name__)
-class BLENDER_LIDAR_PT_sensor(OfTraffic, bpy.types.Panel):
+class BLENDER_LIDAR_PT_sensor(OfLidar, bpy.types.Panel):
     """The LiDARs of the scene, and how the active one hangs."""
 
     def draw_for(self, layout, scene, lidar):
@@ -153,7 +165,7 @@ class BLENDER_LIDAR_PT_sensor(OfTraffic, bpy.types.Panel):
 
 
 @panel("Scan", BLENDER_LIDAR_PT_main.__name__)
-class BLENDER_LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
+class BLENDER_LIDAR_PT_scan(OfLidar, bpy.types.Panel):
     """One revolution, and how its points look."""
 
     def draw_for(self, layout, scene, lidar):
@@ -164,6 +176,7 @@ class BLENDER_LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
         row.prop(group, "live", toggle=True, translate=False)
         layout.prop(group, "style", translate=False)
         layout.prop(group, "colour_by", translate=False)
+        layout.prop(scene.blender_lidar, "label_by", translate=False)
         say(layout, f"Own objects: {'preview' if group.live else 'exact'}", icon="MESH_CUBE")
         if group.scanned_frame < 0:
             say(layout, "Not scanned yet.")
@@ -174,7 +187,7 @@ class BLENDER_LIDAR_PT_scan(OfTraffic, bpy.types.Panel):
 
 
 @panel("Noise", BLENDER_LIDAR_PT_scan.__name__, bl_options={"DEFAULT_CLOSED"})
-class BLENDER_LIDAR_PT_noise(OfTraffic, bpy.types.Panel):
+class BLENDER_LIDAR_PT_noise(OfLidar, bpy.types.Panel):
     """How imperfect the sensor is."""
 
     def draw_for(self, layout, scene, lidar):
@@ -237,7 +250,7 @@ class BLENDER_LIDAR_PT_score(OfTraffic, bpy.types.Panel):
 
 
 @panel("Export", BLENDER_LIDAR_PT_main.__name__, bl_options={"DEFAULT_CLOSED"}, bl_order=9)
-class BLENDER_LIDAR_PT_export(OfTraffic, bpy.types.Panel):
+class BLENDER_LIDAR_PT_export(OfLidar, bpy.types.Panel):
     """What goes out."""
 
     def draw_for(self, layout, scene, lidar):

@@ -310,6 +310,17 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
         set=_show_frame,
         description="Number of the recorded instant that is nearest to the timeline; another one moves the timeline",
     )
+    label_by: EnumProperty(
+        name="Label By",
+        items=[
+            ("object", "Object", "The object's name"),
+            ("collection", "Collection", "The first collection that the object is in"),
+            ("pass_index", "Pass Index", "The object's pass index"),
+            ("material", "Material", "The material of the face"),
+        ],
+        update=_changed("labels"),
+        description="What labels the points on your own objects",
+    )
     known_frame: IntProperty(options={"HIDDEN"}, description="The same when the traffic was last looked at")
     starts_s: FloatProperty(
         name="Starts At",
@@ -418,6 +429,9 @@ def hang_again(scene: bpy.types.Scene) -> None:
                     hang(lidar, there.pose)
 
 
+MODELS = [*((name, name, "") for name in model_names()), (OWN, "Beam table of your own", "A TOML or CSV file")]
+
+
 class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
     """What belongs to one LiDAR; its transform is its pose."""
 
@@ -425,7 +439,7 @@ class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
     kept: StringProperty(default="", options={"HIDDEN"}, description="[sensor] and [deployment] of the file, as JSON")
     name_: EnumProperty(
         name="Model",
-        items=[*((name, name, "") for name in model_names()), (OWN, "Beam table of your own", "A TOML or CSV file")],
+        items=MODELS,
         default="RS-16",
         update=_changed("sensor"),
         description=DECLARED["sensor"]["name"].help,

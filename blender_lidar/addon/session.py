@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,8 +31,9 @@ from ..scene.settings import DATASHEET, GATE, SensorSettings, is_sensor_file
 from ..scene.site import observation_of, read_recordings, scoring_of, standing_scenery
 from ..sensors.model import model_names
 from ..traffic import Recording, Vehicles, joined_recordings
-from ..traffic.vehicles import SAME_S
+from ..traffic.vehicles import SAME_S, no_vehicles
 from ..world.blender.objects import is_lidar, lidars, pose_of
+from ..world.blender.road import has_ground, hidden_ground
 from ..world.blender.site import open_scenery
 from . import properties
 
@@ -44,9 +45,22 @@ _FRAMES: dict[str, tuple[str, str, Mounting, LiveFrame]] = {}  # by LiDAR: what 
 _FUSED: dict[str, tuple[list[LiveFrame], FusedScores | None]] = {}  # by scene: of the LiDARs that hang together
 
 
+NO_TRAFFIC = "no traffic"  # in place of its path, where a scene has none
+
+
 def uid_of(block: bpy.types.ID) -> str:
     """What a data-block is known by until the file is closed."""
     return str(getattr(block, "session_uid", 0) or block.name_full)
+
+
+def view_layer_of(scene: bpy.types.Scene) -> bpy.types.ViewLayer:
+    """The view layer in use, or a scene's first where another scene is."""
+    return bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
+
+
+def has_road(scene: bpy.types.Scene) -> bool:
+    """Whether LiDARs hang beside a road: traffic is loaded, or a road stands there as in a file of `build`."""
+    return scene.blender_lidar.loaded or has_ground(scene)
 
 
 def active_lidar(scene: bpy.types.Scene) -> bpy.types.Object | None:
@@ -68,7 +82,8 @@ def fields_of(scene: bpy.types.Scene) -> dict[str, dict[str, object]]:
     """What the panel's fields say of a scene, as the tables of a scene file."""
     group = scene.blender_lidar
     tables = {name: properties.values_of(getattr(group, name), keys) for name, keys in properties.TABLES.items()}
-    tables["traffic"]["path"] = bpy.path.abspath(str(tables["traffic"].get("path", "")))
+    path = str(tables["traffic"].get("path", "")) or ("" if group.loaded else NO_TRAFFIC)
+    tables["traffic"]["path"] = bpy.path.abspath(path)
     if group.metric in METRIC_NAMES:
         tables["objective"]["metric"] = group.metric
     tables["region"] = group.region.table()
@@ -112,10 +127,13 @@ def layout_scenario(
     check_unit(scene)
     kept = properties.kept_of(scene.blender_lidar)
     tables, changes = dict(kept.tables), properties.changed(kept, fields_of(scene))
-    entries, named = (
-        [deployment_table(one, held=one in held) for one in hung],
-        any(one.blender_lidar.in_layout for one in hung),
-    )
+    if not has_road(scene):  # nothing is asked of where they hang
+        entries = [{"x_m": 0.0, "y_m": 0.0} for _ in hung]
+    else:
+        entries = [deployment_table(one, held=one in held) for one in hung]
+    named = any(one.blender_lidar.in_layout for one in hung)
+    if not has_ground(scene) or hidden_ground(scene, view_layer_of(scene)):
+        changes["world", "ground"] = False, "what the scene shows"
     baselines = [json.loads(one.blender_lidar.baseline or "{}") for one in hung]
     baselines = [{key: table[key] for key in MOUNTED if key in table} for table in baselines]
     if named:
@@ -341,8 +359,8 @@ def keep(scene: bpy.types.Scene, scenario: Scenario, recordings: list[Recording]
 
 
 def _read_with(scenario: Scenario) -> str:
-    stamps = [_stamp(one.path) for one in scenario.recordings]
-    return repr((scenario.recordings, scenario.road, scenario.region, scenario.world, stamps))
+    stamps, world = [_stamp(one.path) for one in scenario.recordings], replace(scenario.world, ground=True)
+    return repr((scenario.recordings, scenario.road, scenario.region, world, stamps))
 
 
 def _stamp(path: str) -> tuple[int, int] | None:
@@ -367,19 +385,26 @@ def since_of(scene: bpy.types.Scene) -> float:
 
 
 def vehicles_of(scene: bpy.types.Scene) -> Vehicles:
-    """The vehicles at the timeline's time: a recorded instant's, or between two of them; none in a gap.
+    """The vehicles at the timeline's time: a recorded instant's, or between two; none in a gap, or without traffic.
 
     Raises
     ------
     BlenderLidarError
         Where the traffic cannot be read.
     """
+    if not scene.blender_lidar.loaded:
+        return no_vehicles(shown_frame(scene), seconds_of(scene))
     return recording_of(scene).moment(since_of(scene))
 
 
 def shown_frame(scene: bpy.types.Scene) -> int:
-    """Number of the instant nearest to the timeline; of traffic that has not been read yet the last one known."""
+    """Number of the instant nearest to the timeline; of traffic that has not been read yet the last one known.
+
+    Without traffic that of the timeline's frame.
+    """
     group = scene.blender_lidar
+    if not group.loaded:
+        return max(scene.frame_current, 0)
     if uid_of(scene) in _RECORDINGS and group.loaded:
         return _RECORDINGS[uid_of(scene)][-1].moment(since_of(scene)).frame
     return group.known_frame

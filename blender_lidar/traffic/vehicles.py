@@ -211,6 +211,12 @@ class Vehicles:
         return replace(self, **{name: column[which] for name, column in columns if column is not None})
 
 
+def no_vehicles(frame: int, time_s: float) -> Vehicles:
+    """A frame without vehicles."""
+    columns = {name: np.empty((0, 3) if name in ("centre_m", "size_m") else 0, kind) for name, kind in _COLUMNS.items()}
+    return Vehicles(frame, time_s, **columns)
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """A whole recording: one row per vehicle and frame, sorted by (frame, vehicle_id). Its arrays are read-only.

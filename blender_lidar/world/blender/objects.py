@@ -308,14 +308,15 @@ _AZIMUTHS_RAD = (-math.pi / 3.0, 0.0, math.pi / 3.0)  # of the fan: across the r
 
 def build_lidar(scene: bpy.types.Scene, lattice: BeamLattice, pose: Pose, name: str = "LiDAR") -> bpy.types.Object:
     """A LiDAR at a mounting: an empty whose axes are those of the sensor frame."""
+    road_frame(scene)
     lidar = new_lidar(scene, pose, name)
     dress(lidar, lattice)
     return lidar
 
 
 def new_lidar(scene: bpy.types.Scene, pose: Pose, name: str = "LiDAR") -> bpy.types.Object:
-    """A LiDAR's empty at a mounting, still without pole, head and fan."""
-    lidar = add_object(collection(scene, "LiDAR", SENSOR), name, None, parent=road_frame(scene))
+    """A LiDAR's empty at a mounting, still without pole, head and fan; on the road frame where there is one."""
+    lidar = add_object(collection(scene, "LiDAR", SENSOR), name, None, parent=frame_of(scene))
     lidar.empty_display_type, lidar.empty_display_size = "ARROWS", _AXES_M
     lidar.lock_scale = (True, True, True)
     hang(lidar, pose)
@@ -323,30 +324,34 @@ def new_lidar(scene: bpy.types.Scene, pose: Pose, name: str = "LiDAR") -> bpy.ty
 
 
 def dress(lidar: bpy.types.Object, lattice: BeamLattice) -> None:
-    """Give a LiDAR its head, a pole that stays upright and reaches the ground, and a fan of its sensor's beams.
+    """Give a LiDAR its head, a fan of its sensor's beams and, on a road, a pole that stays upright and reaches it.
 
     They are its children, in its collections, and take the place of earlier ones.
     """
     _remove([child for child in lidar.children if role(child) in (PART, FAN)])
     into, half = lidar.users_collection[0], 0.5 * _HEAD_HEIGHT_M
     head = add_object(into, "Head", _cylinder("Head", _HEAD_RADIUS_M, -half, half, plain("Head", HEAD)), PART)
+    fan, frame = add_object(into, "Beam fan", _fan(lattice), FAN), frame_of(_scene_of(lidar))
+    for child in (head, fan, *([] if frame is None else [_pole(into, lidar, frame)])):
+        child.parent = lidar
+        child.hide_select = True  # who clicks on one means the LiDAR
+    only_for_the_eye(fan)
+
+
+def _pole(into: bpy.types.Collection, lidar: bpy.types.Object, frame: bpy.types.Object) -> bpy.types.Object:
+    """A pole below a LiDAR's head."""
     metal = plain("Pole", METAL, roughness=0.4)
     pole = add_object(into, "Pole", _cylinder("Pole", _POLE_RADIUS_M, -1.0, 0.0, metal), PART)
     upright = pole.constraints.new("LIMIT_ROTATION")
     upright.use_limit_x = upright.use_limit_y = True
     length = pole.driver_add("scale", 2).driver  # from below the head down to z = 0 of the road
-    frame = frame_of(_scene_of(lidar))
-    of = {"height": (lidar, "LOC_Z"), "scale": (lidar, "SCALE_Z")} | ({"road": (frame, "LOC_Z")} if frame else {})
+    of = {"height": (lidar, "LOC_Z"), "scale": (lidar, "SCALE_Z"), "road": (frame, "LOC_Z")}
     for name, (item, transform) in of.items():
         variable = length.variables.new()
         variable.name, variable.type = name, "TRANSFORMS"
         variable.targets[0].id, variable.targets[0].transform_type = item, transform
-    length.expression = f"max(height{' - road' if frame else ''}, 0.001) / max(scale, 0.001)"
-    fan = add_object(into, "Beam fan", _fan(lattice), FAN)
-    for child in (head, pole, fan):
-        child.parent = lidar
-        child.hide_select = True  # who clicks on one means the LiDAR
-    only_for_the_eye(fan)
+    length.expression = "max(height - road, 0.001) / max(scale, 0.001)"
+    return pole
 
 
 def pose_of(lidar: bpy.types.Object) -> Pose:

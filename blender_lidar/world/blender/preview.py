@@ -16,7 +16,7 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from ..scenery import NO_LABEL
-from .site import arrays_of, is_own, visible_instances
+from .site import Labels, arrays_of, scanned, visible_instances
 
 _TURN = 2.0 * np.pi
 _NOTHING = (-1.0, 0.0)
@@ -24,12 +24,15 @@ _face_and_distance = itemgetter(2, 3)  # ray_cast returns (location, normal, ind
 
 
 class _Mesh(NamedTuple):
-    """A mesh data-block: Blender's tree, surface (m,) and unit normal (m, 3) of its faces, and its box (8, 3)."""
+    """A mesh data-block: Blender's tree; surface (m,) and unit normal (m, 3) of its faces, its box (8, 3), and labels
+    (m,) where its materials say them.
+    """
 
     tree: BVHTree
     surface: np.ndarray
     normal: np.ndarray
     box: np.ndarray
+    label: np.ndarray | None = None
 
 
 class VisibleObjects:
@@ -40,13 +43,13 @@ class VisibleObjects:
 
     def __init__(self) -> None:
         self._meshes: dict[int, _Mesh] = {}
-        self._placed: list[tuple[_Mesh, np.ndarray, np.ndarray]] = []
+        self._placed: list[tuple[_Mesh, np.ndarray, np.ndarray, int]] = []
         self._forgotten = 0
 
     @property
     def state(self) -> tuple:
         """Which meshes stood where when last looked at: equal while nothing has changed."""
-        placed = [(id(mesh), turn.tobytes(), move.tobytes()) for mesh, turn, move in self._placed]
+        placed = [(id(mesh), turn.tobytes(), move.tobytes()) for mesh, turn, move, _ in self._placed]
         return self._forgotten, *placed
 
     def forget(self) -> None:
@@ -56,15 +59,15 @@ class VisibleObjects:
 
     def refresh(self, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> int:
         """Look where the visible objects of a scene are now, evaluated just before; the number of their faces."""
-        meshes, self._placed = {}, []
-        for item, turn, move in visible_instances(scene, depsgraph, is_own):
+        meshes, labels, self._placed = {}, Labels(scene), []
+        for item, turn, move in visible_instances(scene, depsgraph, scanned(scene, depsgraph.view_layer)):
             key = item.data.as_pointer()
             if key not in meshes:
-                meshes[key] = self._meshes.get(key) or _mesh_of(item, depsgraph)
+                meshes[key] = self._meshes.get(key) or _mesh_of(item, depsgraph, labels)
             if len(meshes[key].surface) and abs(np.linalg.det(turn)) > 0.0:
-                self._placed.append((meshes[key], turn, move))
+                self._placed.append((meshes[key], turn, move, labels.of(item)))
         self._meshes = meshes
-        return sum(len(mesh.surface) for mesh, _, _ in self._placed)
+        return sum(len(mesh.surface) for mesh, *_ in self._placed)
 
     def met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
         """As `StandingScenery.met`."""
@@ -72,7 +75,8 @@ class VisibleObjects:
         nearest = np.full(len(directions), reach_m)
         met = np.zeros(len(directions), dtype=bool)
         surface, cosine = np.zeros(len(directions), np.uint8), np.zeros(len(directions))
-        for mesh, turn, move in self._placed:
+        label = np.full(len(directions), NO_LABEL, np.int32)
+        for mesh, turn, move, number in self._placed:
             some = rays.towards(mesh.box @ turn + move, reach_m)
             if len(some) == 0:
                 continue
@@ -85,9 +89,10 @@ class VisibleObjects:
             normal = mesh.normal[face] @ back.T
             normal /= np.sqrt(np.einsum("ij,ij->i", normal, normal))[:, None]
             nearest[some], met[some], surface[some] = distance, True, mesh.surface[face]
+            label[some] = number if mesh.label is None else mesh.label[face]
             cosine[some] = np.abs(np.einsum("ij,ij->i", normal, directions[some]))
         ray = np.flatnonzero(met)
-        return ray, nearest[ray], surface[ray], cosine[ray], np.full(len(ray), NO_LABEL, np.int32)
+        return ray, nearest[ray], surface[ray], cosine[ray], label[ray]
 
 
 class _ByAzimuth:
@@ -136,15 +141,17 @@ def _cast(tree, origin, directions, reach):
     return face.astype(np.int64), distance
 
 
-def _mesh_of(item, depsgraph) -> _Mesh:
+def _mesh_of(item, depsgraph, labels) -> _Mesh:
     """The mesh of an evaluated object."""
     mesh, original = item.data, item.original
     if original.type == "MESH" and original.evaluated_get(depsgraph).data == mesh:
         vertices, _, surface, box = arrays_of(mesh, triangles=False)
         normal = np.empty(3 * len(mesh.polygons), np.float32)
         mesh.polygons.foreach_get("normal", normal)
-        return _Mesh(BVHTree.FromObject(original, depsgraph), surface, normal.reshape(-1, 3).astype(float), box)
+        label = labels.of_faces(mesh, mesh.polygons)
+        tree = BVHTree.FromObject(original, depsgraph)
+        return _Mesh(tree, surface, normal.reshape(-1, 3).astype(float), box, label)
     vertices, faces, surface, box = arrays_of(mesh)  # of curves, texts, and what geometry nodes have made
     tree = BVHTree.FromPolygons(vertices.tolist(), faces.tolist(), all_triangles=True)
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    return _Mesh(tree, surface, np.cross(b - a, c - a), box)
+    return _Mesh(tree, surface, np.cross(b - a, c - a), box, labels.of_faces(mesh, mesh.loop_triangles))

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...road.road_map import Lane, RoadMap
 from ..meshes import ROAD
-from .objects import MARKING, ROAD_ROLE, add_object, clear, collection, new_mesh, plain, road_frame
+from .objects import MARKING, ROAD_ROLE, add_object, clear, collection, new_mesh, plain, road_frame, role
 
 _SHOULDER_M = 2.0
 _VERGE_M = 60.0  # beyond the shoulders
@@ -29,6 +29,7 @@ ASPHALTS = {
     "pedestrians": ("Footway", (0.17, 0.165, 0.155)),
 }
 _NO_LANE = Lane("", "")
+_PART = "blender_lidar_part"  # custom property: what of the road an object is; of the collection, what its ground has
 
 Polygons = list[tuple[np.ndarray, float | np.ndarray, str]]
 """Outlines (k, 2) [m], counter-clockwise, with how high they lie above the road's surface [m] and of what material."""
@@ -42,12 +43,49 @@ def build_road(scene: bpy.types.Scene, road: RoadMap, xy: Sequence[float], reach
     into, frame = collection(scene, "Road", ROAD_ROLE), road_frame(scene)
     clear(into)
     made = {name: plain(name, colour, ROAD, 0.9) for name, colour in ASPHALTS.values()}
-    made |= {"Verge": plain("Verge", VERGE, roughness=1.0), "Lane line": plain("Lane line", LINE)}
+    made |= {"Verge": plain("Verge", VERGE, ROAD, 1.0), "Lane line": plain("Lane line", LINE)}
     parts = _straight(road, road.stretch(xy, reach_m)) if road.endless else _mapped(road, np.asarray(xy), reach_m)
+    parts = {name: polygons for name, polygons in parts.items() if polygons}
     for name, polygons in parts.items():
-        if polygons:
-            of = MARKING if name == "Lane lines" else ROAD_ROLE
-            add_object(into, name, _flat_mesh(name, road, polygons, made), of, frame)
+        of = MARKING if name == "Lane lines" else ROAD_ROLE
+        add_object(into, name, _flat_mesh(name, road, polygons, made), of, frame)[_PART] = name
+    into[_PART] = ", ".join(name for name in parts if name != "Lane lines")
+
+
+def _ground(scene: bpy.types.Scene) -> bpy.types.Collection | None:
+    """The collection of a scene's road where one has been built."""
+    found = (one for one in scene.collection.children_recursive if role(one) == ROAD_ROLE and one.get(_PART))
+    return next(found, None)
+
+
+def has_ground(scene: bpy.types.Scene) -> bool:
+    """Whether a road has been built in a scene."""
+    return _ground(scene) is not None
+
+
+def hidden_ground(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[str]:
+    """The parts of a scene's ground, such as Surface and Verge, that a view layer or renders hide, or that are gone."""
+    into = _ground(scene)
+    if into is None:
+        return []
+    shown = {item[_PART] for item in into.objects if _PART in item and _is_shown(item, layer) and not into.hide_render}
+    return [name for name in into[_PART].split(", ") if name not in shown]
+
+
+def _is_shown(item: bpy.types.Object, layer: bpy.types.ViewLayer) -> bool:
+    return not item.hide_render and not item.hide_viewport and item.visible_get(view_layer=layer)
+
+
+def show_ground(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, *, shown: bool) -> None:
+    """Hide a scene's ground with its markings in view and renders, or show it where all of it is hidden."""
+    into = _ground(scene)
+    if into is None or (shown and len(hidden_ground(scene, layer)) < len(into[_PART].split(", "))):
+        return
+    for item in into.objects:
+        if _PART in item:
+            item.hide_viewport = item.hide_render = not shown
+            if shown and item.name in layer.objects:
+                item.hide_set(False, view_layer=layer)
 
 
 def middle_of(road: RoadMap, xy: Sequence[float], reach_m: float) -> np.ndarray:

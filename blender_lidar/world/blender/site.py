@@ -18,6 +18,7 @@ from ..meshes import GLASS, REFLECTIVITY, STRUCTURE, surface_of
 from ..scenery import NO_LABEL, Scenery, join
 from .objects import DISPLAY_ONLY, ROAD_ROLE, SURFACE_KEY, VEHICLE, role, to_road
 from .quiet import first_error, quiet
+from .road import hidden_ground
 
 # --- Which Blender wrote a .blend file: older ones may crash on what a newer one has written, instead of saying so -
 
@@ -130,7 +131,8 @@ def open_scenery(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Scenery:
     InputError
         If a vertex is not finite, or the road frame is tilted or scaled.
     """
-    found = visible_triangles(scene, lambda item: not is_own(item), layer=layer, labels=Labels(scene))
+    wanted = scanned(scene, layer)
+    found = visible_triangles(scene, lambda item: not wanted(item), layer=layer, labels=Labels(scene))
     if not np.isfinite(found.corners).all():
         row = int(np.flatnonzero(~np.isfinite(found.corners).all(axis=(1, 2)))[0])
         raise InputError(f"{found.names[found.owner[row]]!r}: has a vertex that is not finite")
@@ -140,6 +142,11 @@ def open_scenery(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Scenery:
 def is_own(item: bpy.types.Object) -> bool:
     """Whether an object is the user's: what we show of a scene, its scenery too, its settings say already."""
     return role(item) is None
+
+
+def scanned(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Callable[[bpy.types.Object], bool]:
+    """Which objects are scanned as they are shown: the user's, and of a ground that is hidden in part what is left."""
+    return is_own if not hidden_ground(scene, layer) else lambda item: role(item) in (None, ROAD_ROLE)
 
 
 def visible_instances(
@@ -253,6 +260,8 @@ class Labels:
 
     def of(self, item: bpy.types.Object) -> int:
         """The number of an evaluated object or instance; -1 where it has none, or its faces may have several."""
+        if not is_own(item):
+            return NO_LABEL
         if self._by == "pass_index":
             return item.pass_index
         if self._by == "collection":
