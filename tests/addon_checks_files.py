@@ -69,12 +69,12 @@ def check_a_lidar_duplicated_alone_or_whole_is_another_one():
 def check_a_lidar_is_added_before_traffic_is_loaded_and_dressed_as_its_model():
     scene = new_file()
     scene.cursor.location = (3.0, -1.0, 0.0)
-    assert bpy.ops.blender_lidar.add() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.add(height_m=4.0) == {"FINISHED"}
     (lidar,) = lidars(scene)
     assert session.active_lidar(scene) == lidar
     place = coordinates_of(lidar)
     assert (place["x_m"], place["y_m"]) == (3.0, -1.0)
-    assert abs(evaluated(part(lidar, "Pole"))[:, 2].min()) < 1e-4
+    assert not any(child.name.startswith("Pole") for child in lidar.children)
     beams = len(fan(lidar).data.splines)
     lidar.blender_lidar.name_ = "RS-80"
     assert len(fan(lidar).data.splines) == 5 * beams
@@ -82,6 +82,7 @@ def check_a_lidar_is_added_before_traffic_is_loaded_and_dressed_as_its_model():
     assert bpy.ops.blender_lidar.load() == {"FINISHED"}
     assert lidars(scene) == [lidar]
     assert coordinates_of(lidar) == place
+    assert abs(evaluated(part(lidar, "Pole"))[:, 2].min()) < 1e-4
 
 
 def check_what_a_deleted_lidar_wore_goes_with_it():
