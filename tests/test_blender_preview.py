@@ -12,7 +12,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.world.blender.objects import glass, new_mesh
+from blender_lidar.world.blender.objects import KEY, PART, glass, new_mesh
 from blender_lidar.world.blender.preview import VisibleObjects
 from blender_lidar.world.blender.scene import empty_scene
 from blender_lidar.world.blender.site import open_scenery
@@ -40,10 +40,10 @@ def rough(name, side=12, materials=(), slots=None):
     return new_mesh(name, vertices, faces, materials, None if slots is None else np.arange(len(faces)) % slots)
 
 
-def assert_as_exact(scene, preview):
+def assert_as_exact(scene, preview, caster="exact"):
     """The preview meets what exact triangles are met at, but for a few rays at edges."""
     layer = scene.view_layers[0]
-    exact = StandingScenery(open_scenery(scene, layer), "exact")
+    exact = StandingScenery(open_scenery(scene, layer), caster)
     preview.refresh(scene, layer.depsgraph)
     directions = POSE.to_world(BEAMS)
     (ray, *expected), (seen, *found) = (each.met(POSE.position, directions, 60.0) for each in (exact, preview))
@@ -61,6 +61,21 @@ def scene():
     empty_scene()
 
 
+@pytest.fixture
+def preview():
+    """A preview that Blender tells of changes, as it does while a LiDAR is live."""
+    preview = VisibleObjects()
+
+    def told(scene, depsgraph):
+        preview.heed(depsgraph.updates)
+
+    bpy.app.handlers.depsgraph_update_post.append(told)
+    bpy.app.handlers.frame_change_post.append(told)
+    yield preview
+    bpy.app.handlers.depsgraph_update_post.remove(told)
+    bpy.app.handlers.frame_change_post.remove(told)
+
+
 def test_moved_turned_mirrored_and_flattened_objects_occlude_as_their_exact_triangles_do(scene):
     mesh = rough("rough", materials=[glass(), None], slots=2)
     add(scene, "plain", mesh, (4.0, 10.0, 2.0), (1.0, 0.3, 0.2), (3.0, 2.0, 1.0))
@@ -72,7 +87,7 @@ def test_moved_turned_mirrored_and_flattened_objects_occlude_as_their_exact_tria
     assert set(surface.tolist()) == {GLASS, STRUCTURE}
 
 
-def test_modifiers_curves_and_instances_occlude_and_the_hidden_and_our_own_do_not(scene):
+def test_modifiers_curves_and_instances_occlude_and_the_hidden_and_our_own_do_not(scene, preview):
     wall = add(scene, "wall", rough("wall"), (5.0, 9.0, 1.5), (1.5, 0.0, 0.0), (4.0, 1.5, 1.0))
     wall.modifiers.new("Array", "ARRAY").count = 2
     curve = bpy.data.curves.new("rail", "CURVE")
@@ -86,23 +101,85 @@ def test_modifiers_curves_and_instances_occlude_and_the_hidden_and_our_own_do_no
     for x in (-8.0, 3.0):
         add(scene, "copse", None, (x, 15.0, 2.0), (1.3, 0.0, x)).instance_type = "COLLECTION"
         scene.collection.objects[-1].instance_collection = trees
-    preview = VisibleObjects()
     there = assert_as_exact(scene, preview)
     add(scene, "hidden", rough("hidden"), (0.0, 3.0, 3.0), (1.5, 0.0, 0.0), (9.0, 9.0, 1.0)).hide_viewport = True
     show_vehicles(scene, dense_traffic(vehicles=10, length_m=40.0))
     assert assert_as_exact(scene, preview) == there > 300
 
 
-def test_a_preview_follows_what_is_moved_and_what_is_reshaped_once_it_is_told(scene):
-    item, preview = add(scene, "plain", rough("rough"), (0.0, 10.0, 2.0), (1.5, 0.0, 0.0), (3.0, 2.0, 1.0)), None
-    preview = VisibleObjects()
-    first = assert_as_exact(scene, preview)
-    item.location.y = 6.0
-    assert assert_as_exact(scene, preview) > 1.5 * first
-    item.data.vertices.foreach_set("co", 2.0 * np.array([vertex.co for vertex in item.data.vertices]).ravel())
-    item.data.update()
-    preview.forget()
-    assert assert_as_exact(scene, preview) > 3.0 * first
+def test_a_forest_of_instances_occludes_as_its_exact_triangles_do_near_and_far(scene, preview):
+    trees, random = bpy.data.collections.new("trees"), np.random.default_rng(1)
+    for name in ("low", "high"):
+        trees.objects.link(bpy.data.objects.new(name, rough(name, 6, [glass(), None], 2)))
+    trees.objects["high"].location.z = 3.0
+    for x, y in random.uniform(-40.0, 40.0, (120, 2)):
+        turn, scale = random.uniform(-3.0, 3.0, 3), random.uniform(-2.0, 2.0, 3)
+        tree = add(scene, "tree", None, (x, y, 1.0), turn, scale)
+        tree.instance_type, tree.instance_collection = "COLLECTION", trees
+    seen = [assert_as_exact(scene, preview, "bvh")]
+    trees.objects["high"].hide_render = True
+    seen.append(assert_as_exact(scene, preview, "bvh"))
+    assert seen[0] > 1.2 * seen[1] > 1000
+
+
+def test_a_preview_follows_whatever_blender_tells_of(scene, preview):
+    item = add(scene, "plain", rough("rough"), (0.0, 10.0, 2.0), (1.5, 0.0, 0.0), (3.0, 2.0, 1.0))
+    other = bpy.data.collections.new("other")
+    scene.collection.children.link(other)
+
+    def again(change):
+        change()
+        return assert_as_exact(scene, preview)
+
+    def reshape():
+        item.data.vertices.foreach_set("co", 2.0 * np.array([vertex.co for vertex in item.data.vertices]).ravel())
+        item.data.update()
+
+    first = again(lambda: None)
+    assert again(lambda: setattr(item.location, "y", 6.0)) > 1.5 * first
+    near = again(reshape)
+    assert near > 3.0 * first
+    second = add(scene, "second", item.data, (0.0, -10.0, 2.0), (1.5, 0.0, 0.0), (3.0, 2.0, 1.0))
+    assert again(lambda: None) > near
+    for hide in (second.hide_set, lambda on: setattr(second, "hide_render", on)):
+        assert again(lambda hide=hide: hide(True)) == near
+        assert again(lambda hide=hide: hide(False)) > near
+    other.objects.link(second)
+    scene.collection.objects.unlink(second)
+    shown = scene.view_layers[0].layer_collection.children["other"]
+    for of, name in ((shown, "exclude"), (other, "hide_render"), (other, "hide_viewport")):
+        assert again(lambda of=of, name=name: setattr(of, name, True)) == near
+        assert again(lambda of=of, name=name: setattr(of, name, False)) > near
+    assert again(lambda: bpy.data.objects.remove(second)) == near
+    item.data.materials.append(None)
+    assert again(lambda: item.data.materials.__setitem__(0, glass())) == near
+    assert again(lambda: setattr(item, "parent", add(scene, "far", None, (0.0, 500.0, 0.0)))) == 0
+
+
+def test_only_trees_of_what_has_another_shape_are_made_again_and_our_own_moves_are_no_change(scene, preview):
+    still = add(scene, "still", rough("still"), (0.0, 10.0, 2.0), (1.5, 0.0, 0.0))
+    bent = add(scene, "bent", rough("bent"), (0.0, -10.0, 2.0), (1.5, 0.0, 0.0)).modifiers.new("Displace", "DISPLACE")
+    for frame, strength in ((1, 0.0), (10, 2.0)):
+        bent.strength = strength
+        bent.keyframe_insert("strength", frame=frame)
+    head = add(scene, "head", rough("head"))
+    head[KEY] = PART
+
+    def trees():
+        assert_as_exact(scene, preview)
+        return {mesh.tree for mesh in preview._meshes.values()}, preview.state
+
+    (before, state), _ = trees(), scene.frame_set(5)
+    (after, bent_state), _ = trees(), setattr(head.location, "x", 1.0)
+    assert (len(before & after), len(after)) == (1, 2)
+    assert bent_state > state
+    scene.view_layers[0].update()
+    assert preview._seen is not None
+    assert trees() == (after, bent_state)
+    still.location.x = 1.0
+    moved, moved_state = trees()
+    assert moved == after
+    assert moved_state > bent_state
 
 
 def test_a_unit_scale_is_applied_and_an_empty_scene_hides_nothing(scene):

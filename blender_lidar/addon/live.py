@@ -21,7 +21,6 @@ from ..traffic.vehicles import Vehicles
 from ..world.blender.objects import SHAPE, VEHICLE, VEHICLE_ID, frame_of, lidars, role, wear_own_paint
 from ..world.blender.points import STYLES, cloud_of, colour_cloud, colours_by, set_style, show_cloud
 from ..world.blender.preview import VisibleObjects
-from ..world.blender.site import is_own
 from ..world.blender.traffic import colour_vehicles
 from . import properties, session
 
@@ -270,13 +269,9 @@ def _draw() -> None:
 
 @persistent
 def on_update(scene, depsgraph=None, *_) -> None:
-    """Mark what Blender has evaluated again; of the user's own objects, forget trees of those with a new shape."""
-    for change in () if depsgraph is None else depsgraph.updates:
-        item = change.id.original
-        if change.is_updated_geometry and isinstance(item, bpy.types.Object) and is_own(item):
-            for objects in _state.objects.values():
-                objects.forget()
-            break
+    """Mark what Blender has evaluated again."""
+    for objects in () if depsgraph is None else _state.objects.values():
+        objects.heed(depsgraph.updates)
     _soon()
 
 

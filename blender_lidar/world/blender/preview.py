@@ -6,8 +6,7 @@ Exact is what `site.open_scenery` gives; here a ray now and then slips between t
 from __future__ import annotations
 
 import gc
-from itertools import repeat
-from operator import itemgetter
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import bpy
@@ -16,142 +15,267 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from ..scenery import NO_LABEL
+from .objects import role, to_road
 from .site import Labels, arrays_of, scanned, visible_instances
 
+_PLACING = bpy.types.Object, bpy.types.Collection, bpy.types.Scene
+_WITHOUT_SHAPE = "EMPTY", "CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"
 _TURN = 2.0 * np.pi
-_NOTHING = (-1.0, 0.0)
-_face_and_distance = itemgetter(2, 3)  # ray_cast returns (location, normal, index, distance)
+_CHUNK, _PAIRS = 512, 0.5  # most instances looked at in one go, and most pairs of one and a ray by the number of rays
+_BANDS = 32  # of elevation, with as many rays each
+_PAD = 1e-4  # of a mesh's size, by which boxes and spheres are wider: rounding takes none of their rays
 
 
 class _Mesh(NamedTuple):
-    """A mesh data-block: Blender's tree; surface (m,) and unit normal (m, 3) of its faces, its box (8, 3), and labels
-    (m,) where its materials say them.
-    """
+    """A mesh: Blender's tree, surface (m,) and normal (m, 3) of its faces, which are its polygons or triangles, its box
+    (2, 3), and the data-blocks that it comes of."""
 
     tree: BVHTree
     surface: np.ndarray
     normal: np.ndarray
     box: np.ndarray
-    label: np.ndarray | None = None
+    polygons: bool
+    blocks: frozenset[tuple]
 
 
 class VisibleObjects:
     """Visible objects of the user's, as a live preview meets them: rays are taken to the space of each mesh.
 
-    It stands in for `casting.protocol.StandingScenery` where clouds are looked at live (`clouds.live`).
+    It stands in for `casting.protocol.StandingScenery` where clouds are looked at live (`clouds.live`). What the last
+    `refresh` saw is kept until it is told of a change. Handlers of `depsgraph_update_post` and `frame_change_post` give
+    `heed` their `depsgraph.updates`; it calls `moved` and `forget`. After undo and redo, in another file and for other
+    labels they call `forget` themselves.
     """
 
     def __init__(self) -> None:
-        self._meshes: dict[int, _Mesh] = {}
-        self._placed: list[tuple[_Mesh, np.ndarray, np.ndarray, int]] = []
-        self._forgotten = 0
+        self._meshes: dict[tuple, _Mesh] = {}
+        self._seen: object = None  # road frame and view layer of the last walk; None when there must be another
+        self._version = 0
+        self._place([], np.empty((0, 3, 3)), np.empty((0, 3)), {})
 
     @property
-    def state(self) -> tuple:
-        """Which meshes stood where when last looked at: equal while nothing has changed."""
-        placed = [(id(mesh), turn.tobytes(), move.tobytes()) for mesh, turn, move, _ in self._placed]
-        return self._forgotten, *placed
+    def state(self) -> int:
+        """A number that rises whenever other meshes stand there, or elsewhere, than were seen before."""
+        return self._version
 
-    def forget(self) -> None:
-        """Drop what is kept of meshes: call it when the geometry of any object of the user's has changed."""
-        self._meshes.clear()
-        self._forgotten += 1
+    def heed(self, updates: Iterable[bpy.types.DepsgraphUpdate]) -> None:
+        """Take note of what Blender has evaluated again, unless it is ours and nothing else.
 
-    def refresh(self, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> int:
-        """Look where the visible objects of a scene are now, evaluated just before; the number of their faces."""
-        meshes, labels, self._placed = {}, Labels(scene), []
-        for item, turn, move in visible_instances(scene, depsgraph, scanned(scene, depsgraph.view_layer)):
-            key = item.data.as_pointer()
+        It tells of what was hidden, shown, added or removed as an update of the scene.
+        """
+        changed = []
+        for update in updates:
+            block = update.id
+            if update.is_updated_geometry or isinstance(block, bpy.types.Material):
+                changed.append(block.original)
+            if isinstance(block, bpy.types.Object) and block.type in _WITHOUT_SHAPE and not block.is_instancer:
+                continue
+            if isinstance(block, _PLACING) and role(block) is None:
+                self.moved()
+        self.forget(changed)
+
+    def moved(self) -> None:
+        """Walk the instances again at the next `refresh`: something of the user's has moved, come, gone or changed."""
+        self._seen = None
+
+    def forget(self, blocks: Iterable[bpy.types.ID] | None = None) -> None:
+        """Drop the trees of original objects, meshes and materials with new geometry or surface; all when None."""
+        changed = None if blocks is None else set(map(_uid, blocks))
+        gone = [key for key, mesh in self._meshes.items() if changed is None or mesh.blocks & changed]
+        for key in gone:
+            del self._meshes[key]
+        if gone or changed is None:
+            self._version += 1
+            self.moved()
+
+    def refresh(self, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+        """Look where the visible objects of a scene are now, evaluated just before, if anything has changed."""
+        road, shown = to_road(scene, depsgraph).tolist(), (depsgraph.view_layer.name, depsgraph.mode)
+        seen = road, scene.unit_settings.scale_length, shown
+        if seen != self._seen:
+            self._walk(scene, depsgraph)
+            self._seen = seen
+
+    def _walk(self, scene, depsgraph) -> None:
+        """Look at every instance."""
+        meshes, by_face, labels = {}, {}, Labels(scene)
+
+        def take(item):
+            key = _uid(_owner(item, depsgraph)), item.data.as_pointer()  # which others take again, but not its owner
             if key not in meshes:
-                meshes[key] = self._meshes.get(key) or _mesh_of(item, depsgraph, labels)
-            if len(meshes[key].surface) and abs(np.linalg.det(turn)) > 0.0:
-                self._placed.append((meshes[key], turn, move, labels.of(item)))
+                mesh = meshes[key] = self._meshes.get(key) or _mesh_of(item, depsgraph)
+                if not mesh.polygons:
+                    item.data.calc_loop_triangles()
+                of = labels.of_faces(item.data, item.data.polygons if mesh.polygons else item.data.loop_triangles)
+                by_face[id(mesh)] = np.full(len(mesh.surface), NO_LABEL, np.int32) if of is None else of
+            return meshes[key], labels.of(item)
+
+        before = self._what
+        taken, turn, move = visible_instances(scene, depsgraph, scanned(scene, depsgraph.view_layer), take)
         self._meshes = meshes
-        return sum(len(mesh.surface) for mesh, *_ in self._placed)
+        solid = np.abs(np.linalg.det(turn)) > 0.0
+        rows = [row for row, (mesh, _) in enumerate(taken) if solid[row] and len(mesh.surface)]
+        self._place([taken[row] for row in rows], turn[rows], move[rows], by_face)
+        self._version += not all(map(np.array_equal, before, self._what))
+
+    def _place(self, taken, turn, move, by_face) -> None:
+        """Keep a table of instances: the mesh and label of each, what takes points to it and back, its sphere."""
+        used = {id(mesh): mesh for mesh, _ in taken}
+        self._used, row = list(used.values()), {key: row for row, key in enumerate(used)}
+        self._mesh = np.array([row[id(mesh)] for mesh, _ in taken], dtype=np.int64)
+        self._label, self._turn, self._move = np.array([label for _, label in taken], dtype=np.int32), turn, move
+        self._box = np.array([mesh.box for mesh in self._used]).reshape(-1, 2, 3)
+        self._first = np.cumsum([0, *(len(mesh.surface) for mesh in self._used)])  # of each mesh's faces
+        self._surface = np.concatenate([np.empty(0, np.uint8), *(mesh.surface for mesh in self._used)])
+        self._normal = np.concatenate([np.empty((0, 3)), *(mesh.normal for mesh in self._used)])
+        self._of_face = np.concatenate([np.empty(0, np.int32), *(by_face[key] for key in used)])
+        across = np.cross(turn[:, (1, 2, 0)], turn[:, (2, 0, 1)]).swapaxes(1, 2)
+        self._back = across / np.einsum("ni,ni->n", turn[:, 0], across[:, :, 0])[:, None, None]  # the inverse
+        half = 0.5 * (self._box[:, 1] - self._box[:, 0])
+        corners = half[:, None] * ((1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1))  # no two of them opposite
+        self._centre = np.einsum("ni,nij->nj", self._box.mean(axis=1)[self._mesh], turn) + move
+        self._radius = np.sqrt(np.square(corners[self._mesh] @ turn).sum(axis=2).max(axis=1, initial=0.0))
+
+    @property
+    def _what(self) -> tuple:
+        """What of the table others may see."""
+        return [id(mesh.tree) for mesh in self._used], self._mesh, self._turn, self._move, self._label, self._of_face
 
     def met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
-        """As `StandingScenery.met`."""
-        rays = _ByAzimuth(origin, directions) if self._placed else None
+        """As `StandingScenery.met`, in chunks of instances from near to far, without rays that have met something."""
         nearest = np.full(len(directions), reach_m)
-        met = np.zeros(len(directions), dtype=bool)
-        surface, cosine = np.zeros(len(directions), np.uint8), np.zeros(len(directions))
-        label = np.full(len(directions), NO_LABEL, np.int32)
-        for mesh, turn, move, number in self._placed:
-            some = rays.towards(mesh.box @ turn + move, reach_m)
-            if len(some) == 0:
-                continue
-            back = np.linalg.inv(turn)
-            local = directions[some] @ back
-            stretch = np.sqrt(np.einsum("ij,ij->i", local, local))  # lengths there over lengths in the scene
-            face, distance = _cast(mesh.tree, (origin - move) @ back, local, nearest[some] * stretch)
-            found = np.flatnonzero(face >= 0)
-            some, face, distance = some[found], face[found], distance[found] / stretch[found]
-            normal = mesh.normal[face] @ back.T
-            normal /= np.sqrt(np.einsum("ij,ij->i", normal, normal))[:, None]
-            nearest[some], met[some], surface[some] = distance, True, mesh.surface[face]
-            label[some] = number if mesh.label is None else mesh.label[face]
-            cosine[some] = np.abs(np.einsum("ij,ij->i", normal, directions[some]))
-        ray = np.flatnonzero(met)
-        return ray, nearest[ray], surface[ray], cosine[ray], label[ray]
+        face, instance = np.full(len(directions), -1), np.zeros(len(directions), np.int64)
+        middle = self._centre - origin
+        gap = np.sqrt(np.square(middle).sum(axis=1)) - self._radius
+        near = np.flatnonzero(gap <= reach_m)
+        near = near[np.argsort(gap[near])]
+        rays, first = _ByDirection(directions) if len(near) else None, 0
+        while first < len(near) and rays.keep(nearest > gap[near[first]]):
+            some = near[first : first + _CHUNK]
+            which, ray, done = rays.towards(middle[some], self._radius[some])
+            self._cast(origin, directions, some, which, ray, (nearest, face, instance))
+            first += done
+        ray = np.flatnonzero(face >= 0)
+        at = instance[ray]
+        row = face[ray] + self._first[self._mesh[at]]
+        normal = np.einsum("nj,nij->ni", self._normal[row], self._back[at])
+        normal /= np.sqrt(np.square(normal).sum(axis=1))[:, None]
+        cosine = np.abs(np.einsum("ij,ij->i", normal, directions[ray]))
+        return ray, nearest[ray], self._surface[row], cosine, np.maximum(self._label[at], self._of_face[row])
+
+    def _cast(self, origin, directions, some, which, ray, found) -> None:
+        """Cast pairs of `some[which]` and `ray`, where the ray enters the box before what it has met, and keep it."""
+        nearest, face, instance = found
+        along = np.einsum("ni,nij->nj", directions[ray], self._back[some[which]])
+        starts = np.einsum("ni,nij->nj", origin - self._move[some], self._back[some])
+        low, high = (self._box[self._mesh[some], side] - starts for side in (0, 1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            walls = low[which] / along, high[which] / along
+        enter, leave = np.fmin(*walls).max(axis=1), np.fmax(*walls).min(axis=1)
+        kept = np.flatnonzero((leave >= np.maximum(enter, 0.0)) & (enter < nearest[ray]))
+        which, ray, along = which[kept], ray[kept], along[kept]
+        stretch = np.sqrt(np.square(along).sum(axis=1))  # lengths there over lengths in the scene
+        casts = [self._used[mesh].tree.ray_cast for mesh in self._mesh[some].tolist()]
+        pair, hit, distance = _cast(casts, starts, which, along, nearest[ray] * stretch)
+        distance /= stretch[pair]
+        order = np.argsort(-distance)  # the nearest of a ray is written last
+        pair, ray = pair[order], ray[pair[order]]
+        nearest[ray], face[ray], instance[ray] = distance[order], hit[order], some[which[pair]]
 
 
-class _ByAzimuth:
-    """Rays from an origin, sorted by azimuth, so that those towards a box are found without looking at all."""
+class _ByDirection:
+    """Rays from an origin, sorted by elevation and azimuth: those towards a sphere are found without looking at all."""
 
-    def __init__(self, origin, directions):
-        self._origin, self._directions = origin, directions
-        azimuth = np.arctan2(directions[:, 1], directions[:, 0])
-        self._order = np.argsort(azimuth)
-        self._azimuth = azimuth[self._order]
+    def __init__(self, directions):
+        self._directions = directions
+        self._edges = np.quantile(directions[:, 2], np.linspace(0.0, 1.0, _BANDS + 1)[1:-1])
+        band = np.searchsorted(self._edges, directions[:, 2], side="right")
+        key = band * (2.0 * _TURN) + np.arctan2(directions[:, 1], directions[:, 0])
+        self._ray = np.argsort(key)
+        self._key = key[self._ray]
 
-    def towards(self, box, reach_m):
-        """Those that pierce the sphere about a box (8, 3)."""
-        away = box - self._origin
-        middle = away.mean(axis=0)
-        radius = np.sqrt(np.square(away - middle).sum(axis=1).max())
-        distance, level = np.sqrt(middle @ middle), np.hypot(*middle[:2])
-        if distance - radius > reach_m:
-            return np.empty(0, dtype=np.int64)
-        some = self._order
-        if level > radius:
-            half = np.arcsin(radius / level)
-            first = (np.arctan2(middle[1], middle[0]) - half + np.pi) % _TURN - np.pi
-            low, high = np.searchsorted(self._azimuth, [first, first + 2.0 * half])
-            over = np.searchsorted(self._azimuth, first + 2.0 * half - _TURN)  # beyond azimuth pi
-            some = np.concatenate([some[low:high], some[:over]])
-        if distance > radius:
-            some = some[self._directions[some] @ middle >= np.sqrt(distance**2 - radius**2)]
-        return some
+    def keep(self, wanted):
+        """Go on with those for which `wanted`, (n,) by ray, is true; whether there are any."""
+        kept = wanted[self._ray]
+        self._ray, self._key = self._ray[kept], self._key[kept]
+        return len(self._ray) > 0
+
+    def towards(self, middle, radius):
+        """Pairs (sphere, ray) of spheres with rays that pierce them, and of how many spheres, as pairs may be too many.
+
+        `middle` (k, 3) is counted from the origin.
+        """
+        level, distance = np.hypot(middle[:, 0], middle[:, 1]), np.sqrt(np.square(middle).sum(axis=1))
+        within = distance <= radius
+        half = np.where(level > radius, np.arcsin(np.minimum(radius / np.maximum(level, 1e-9), 1.0)), np.pi)
+        rise, around = np.arctan2(middle[:, 2], level), np.arctan2(middle[:, 1], middle[:, 0])
+        slope = np.where(within, np.pi, np.arcsin(np.minimum(radius / np.maximum(distance, 1e-9), 1.0)))
+        low, high = (np.sin(np.clip(rise + side * slope, -0.5 * np.pi, 0.5 * np.pi)) for side in (-1.0, 1.0))
+        low, high = (np.searchsorted(self._edges, of, side="right") for of in (low, high))
+        bands, start = high - low + 1, (around - half + np.pi) % _TURN - np.pi
+        sphere = np.repeat(np.arange(len(middle)), bands)
+        whole = _ranges(low, bands) * (2.0 * _TURN)  # where each band begins
+        start, end = whole + start[sphere], whole + (start + 2.0 * half)[sphere]
+        start, end = np.searchsorted(self._key, [[start, whole - np.pi], [end, end - _TURN]])  # some reach beyond pi
+        sphere, start, count = np.tile(sphere, 2), start.ravel(), (end - start).ravel()
+        most = np.cumsum(np.bincount(sphere, count, len(middle)))
+        done = max(1, int(np.searchsorted(most, _PAIRS * len(self._directions), side="right")))
+        count[sphere >= done] = 0
+        sphere, ray = np.repeat(sphere, count), self._ray[_ranges(start, count)]
+        along = np.einsum("ij,ij->i", self._directions[ray], middle[sphere])
+        least = np.where(within, -np.inf, np.sqrt(np.abs(distance**2 - radius**2)))  # the length of the cone's side
+        pierced = along >= least[sphere]
+        return sphere[pierced], ray[pierced], done
 
 
-def _cast(tree, origin, directions, reach):
-    """Face that each ray meets, -1 for none, and how far along [local units]; `directions` of any length."""
+def _ranges(start, count):
+    """Whole numbers from each start on, as many as its count says, one after the other."""
+    return np.arange(count.sum()) + np.repeat(start - np.cumsum(count) + count, count)
+
+
+def _cast(casts, origins, which, directions, reach):
+    """Rows of rays that meet a face, its number, how far along [local units]; `which` tree and origin each has."""
+    of, origins = which.tolist(), [Vector(origin) for origin in origins.tolist()]
     rays = zip(*map(memoryview, np.ascontiguousarray(directions.T)), strict=True)
-    hits = map(tree.ray_cast, repeat(Vector(origin.tolist())), rays, reach.tolist())
+    each = zip(map(casts.__getitem__, of), map(origins.__getitem__, of), rays, reach.tolist(), strict=True)
     collecting = gc.isenabled()
     gc.disable()  # its sweeps would come often, for so many small objects
     try:
-        found = [
-            number for hit in map(_face_and_distance, hits) for number in (hit if hit[0] is not None else _NOTHING)
-        ]
+        hits = enumerate(cast(origin, ray, most) for cast, origin, ray, most in each)
+        found = [(row, face, distance) for row, (_, _, face, distance) in hits if face is not None]
     finally:
         if collecting:
             gc.enable()
-    face, distance = np.array(found).reshape(-1, 2).T
-    return face.astype(np.int64), distance
+    row, face, distance = np.array(found, dtype=float).reshape(-1, 3).T
+    return row.astype(np.int64), face.astype(np.int64), distance
 
 
-def _mesh_of(item, depsgraph, labels) -> _Mesh:
+def _uid(block: bpy.types.ID) -> tuple:
+    """What an original data-block is known by."""
+    return type(block).__name__, getattr(block, "session_uid", 0) or block.name_full
+
+
+def _owner(item, depsgraph) -> bpy.types.ID:
+    """Whose the mesh of an evaluated object is: a mesh of the file's as it is there, or an object that has made it."""
+    original = item.original
+    plain = original.type == "MESH" and original.data.evaluated_get(depsgraph) == item.data
+    return original.data if plain else original
+
+
+def _mesh_of(item, depsgraph) -> _Mesh:
     """The mesh of an evaluated object."""
     mesh, original = item.data, item.original
-    if original.type == "MESH" and original.evaluated_get(depsgraph).data == mesh:
-        vertices, _, surface, box = arrays_of(mesh, triangles=False)
+    worn = [material.original for material in mesh.materials if material is not None]
+    blocks = frozenset(map(_uid, [_owner(item, depsgraph), *worn]))
+    polygons = original.type == "MESH" and original.evaluated_get(depsgraph).data == mesh
+    vertices, faces, surface, box = arrays_of(mesh, triangles=not polygons)
+    if polygons:
         normal = np.empty(3 * len(mesh.polygons), np.float32)
         mesh.polygons.foreach_get("normal", normal)
-        label = labels.of_faces(mesh, mesh.polygons)
-        tree = BVHTree.FromObject(original, depsgraph)
-        return _Mesh(tree, surface, normal.reshape(-1, 3).astype(float), box, label)
-    vertices, faces, surface, box = arrays_of(mesh)  # of curves, texts, and what geometry nodes have made
-    tree = BVHTree.FromPolygons(vertices.tolist(), faces.tolist(), all_triangles=True)
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    return _Mesh(tree, surface, np.cross(b - a, c - a), box, labels.of_faces(mesh, mesh.loop_triangles))
+        tree, normal = BVHTree.FromObject(original, depsgraph), normal.reshape(-1, 3).astype(float)
+    else:  # of curves, texts, and what geometry nodes have made
+        tree = BVHTree.FromPolygons(vertices.tolist(), faces.tolist(), all_triangles=True)
+        a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+        normal = np.cross(b - a, c - a)
+    pad = _PAD * (box[-1] - box[0]).max()
+    return _Mesh(tree, surface, normal, np.array([box[0] - pad, box[-1] + pad]), polygons, blocks)

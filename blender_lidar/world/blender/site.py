@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import TypeVar
 
 import bpy
 import numpy as np
@@ -63,6 +64,7 @@ def _first_bytes(path: Path) -> bytes:
 # --- What is visible, as triangles ------------------------------------------------------------------------------------
 
 Keep = Callable[[np.ndarray], bool]
+Taken = TypeVar("Taken")
 
 
 def visible_triangles(
@@ -105,20 +107,24 @@ def visible_triangles(
     """
     layer = layer or scene.view_layers[0]
     layer.update()
-    meshes, by_mesh, parts = {}, {}, []
-    for item, turn, move in visible_instances(scene, layer.depsgraph, lambda item: not skip(item)):
+    meshes, parts = {}, []
+
+    def take(item):
         key = item.data.as_pointer()
         if key not in meshes:
-            meshes[key] = arrays_of(item.data)
-            by_mesh[key] = labels.of_faces(item.data, item.data.loop_triangles) if labels else None
-        vertices, faces, surface, box = meshes[key]
+            arrays = arrays_of(item.data)
+            meshes[key] = *arrays, labels.of_faces(item.data, item.data.loop_triangles) if labels else None
+        return item.name, labels.of(item) if labels else NO_LABEL, *meshes[key]
+
+    found = visible_instances(scene, layer.depsgraph, lambda item: not skip(item), take)
+    for (name, number, vertices, faces, surface, box, by_face), turn, move in zip(*found, strict=True):
         if len(faces) == 0 or not keep(box @ turn + move):
             continue
         if np.linalg.det(turn) < 0.0:  # a mirror turns faces inside out
             faces = faces[:, ::-1]
+        label = np.full(len(faces), number, np.int32) if by_face is None else by_face
         owner = np.zeros(len(faces), np.int32)
-        label = np.full(len(faces), labels.of(item), np.int32) if labels and by_mesh[key] is None else by_mesh[key]
-        parts.append(Scenery((vertices @ turn + move)[faces], owner, surface, (item.name,), label))
+        parts.append(Scenery((vertices @ turn + move)[faces], owner, surface, (name,), label))
     found = join(parts)
     return replace(found, labels=labels.names(found.label)) if labels else found
 
@@ -150,20 +156,36 @@ def scanned(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Callable[[bpy
 
 
 def visible_instances(
-    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, wanted: Callable[[bpy.types.Object], bool]
-) -> Iterator[tuple[bpy.types.Object, np.ndarray, np.ndarray]]:
-    """What `visible_triangles` takes of an evaluated scene, one by one; each is gone when the next comes.
+    scene: bpy.types.Scene,
+    depsgraph: bpy.types.Depsgraph,
+    wanted: Callable[[bpy.types.Object], bool],
+    take: Callable[[bpy.types.Object], Taken],
+) -> tuple[list[Taken], np.ndarray, np.ndarray]:
+    """What `visible_triangles` takes of an evaluated scene, by instance.
 
-    With each, what takes its points, as rows, into the road frame: ``points @ turn + move`` [m].
+    Returns what `take` says of the object of each, called with an evaluated one that is gone when the next one comes,
+    and what takes its points, as rows, into the road frame: ``points @ turn + move`` [m], (n, 3, 3) and (n, 3). Objects
+    and meshes that an instancer repeats are asked about once: a forest has 100,000 instances.
     """
     rendered, unit_m = set(_rendered_objects(scene.collection)), scene.unit_settings.scale_length
     into = to_road(scene, depsgraph)
+    known, taken, numbers = {}, [], []
     for instance in depsgraph.object_instances:
-        item, by = instance.object, instance.parent
-        ours = by if instance.is_instance and role(by) == VEHICLE else item  # a vehicle may be made of own objects
-        if item.type == "MESH" and role(item) not in DISPLAY_ONLY and wanted(ours) and _is_seen(instance, rendered):
-            matrix = into @ np.array(instance.matrix_world, dtype=float)
-            yield item, unit_m * matrix[:3, :3].T, unit_m * matrix[:3, 3]
+        item = instance.object
+        if item.type != "MESH":
+            continue
+        by = instance.parent if instance.is_instance else None
+        key = (item.original, item.data.as_pointer(), by) if by else None
+        if key is None or key not in known:
+            ours = by if by and role(by) == VEHICLE else item  # a vehicle may be made of own objects
+            seen = role(item) not in DISPLAY_ONLY and wanted(ours) and _is_seen(instance, rendered)
+            known[key] = take(item) if seen else None
+        if known[key] is not None:
+            taken.append(known[key])
+            for row in instance.matrix_world:  # NumPy is ten times as slow to read one
+                numbers.extend(row)
+    matrix = into @ np.array(numbers, dtype=float).reshape(-1, 4, 4)
+    return taken, unit_m * matrix[:, :3, :3].swapaxes(1, 2), unit_m * matrix[:, :3, 3]
 
 
 def _rendered_objects(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
