@@ -85,6 +85,31 @@ def check_a_lidar_is_added_before_traffic_is_loaded_and_dressed_as_its_model():
     assert abs(evaluated(part(lidar, "Pole"))[:, 2].min()) < 1e-4
 
 
+def check_a_bake_is_what_scan_finds_on_each_frame_and_shows_again_in_the_file_that_is_opened():
+    scene, lidar = loaded()
+    for frame, x_m in ((1, 0.0), (3, 4.0)):
+        lidar.location.x = x_m
+        lidar.keyframe_insert("location", frame=frame)
+    scene.frame_start, scene.frame_end = 1, 3
+    bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "bake.blend"))
+    assert bpy.ops.blender_lidar.bake() == {"FINISHED"}
+    expected = []
+    for frame in (1, 2, 3):
+        scene.frame_set(frame)
+        baked = evaluated(cloud_of(lidar))
+        assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+        np.testing.assert_allclose(vertices(cloud_of(lidar)), baked, atol=1e-4)
+        expected.append(baked)
+    assert not np.array_equal(expected[0], expected[2])
+    bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "bake.blend"))
+    scene = bpy.context.scene
+    for frame in (3, 2, 1):
+        scene.frame_set(frame)
+        np.testing.assert_allclose(evaluated(cloud_of(lidars(scene)[0])), expected[frame - 1], atol=1e-5)
+    scene.frame_set(4)
+    assert len(vertices(cloud_of(lidars(scene)[0]))) == 0
+
+
 def check_what_a_deleted_lidar_wore_goes_with_it():
     scene = loaded()[0]
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}

@@ -352,7 +352,7 @@ def _fill_from(scene):
 # --- Scan and score ---------------------------------------------------------------------------------------------------
 
 
-def _checked(scene: bpy.types.Scene, lidar: bpy.types.Object) -> tuple[Scenario, Mounting, Vehicles]:
+def checked_mount(scene: bpy.types.Scene, lidar: bpy.types.Object) -> tuple[Scenario, Mounting, Vehicles]:
     """The settings of a LiDAR, how it hangs, and the frame that is shown, in which it hangs clear."""
     scenario, mounting = session.scenario_from(scene, lidar), properties.mounting_of(lidar)
     vehicles = session.vehicles_of(scene)
@@ -371,7 +371,7 @@ class BLENDER_LIDAR_OT_scan(NeedsLidar, bpy.types.Operator):
         """Scan exactly, check the place, and show the cloud."""
         scene = context.scene
         hung, frames, looks, told = session.layout_of(scene, session.active_lidar(scene)), [], [], []
-        checked = [_checked(scene, one) for one in hung]
+        checked = [checked_mount(scene, one) for one in hung]
         for lidar, (scenario, mounting, _) in zip(hung, checked, strict=True):
             frames.append(session.live_frame(scene, lidar, exact=True))
             objects = session.exact_objects(scene, context.view_layer, scenario)
@@ -413,7 +413,7 @@ class BLENDER_LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
 def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Vehicles]:
     """The active LiDAR as the command line's `scan` has it, and the frame that is shown."""
     lidar = session.active_lidar(scene)
-    vehicles, hung = _checked(scene, lidar)[-1], session.layout_of(scene, lidar)
+    vehicles, hung = checked_mount(scene, lidar)[-1], session.layout_of(scene, lidar)
     whole, layout = session.layout_scenario(scene, hung), tuple(map(properties.mounting_of, hung))
     sensors = mounted_sensors(whole, layout, open_scenery(scene, bpy.context.view_layer))
     return sensors[hung.index(lidar)], vehicles

@@ -18,6 +18,7 @@ from bpy.props import (
     FloatProperty,
     FloatVectorProperty,
     IntProperty,
+    IntVectorProperty,
     PointerProperty,
     StringProperty,
 )
@@ -331,6 +332,12 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
     )
     active: StringProperty(name="LiDAR", description="The LiDAR that is scanned, scored and optimized")
     fused: StringProperty(options={"HIDDEN"}, description="What the layout is worth on the frame scanned last, as JSON")
+    bake_own: BoolProperty(name="Own Range", description="Bake other frames than those that the scene renders")
+    bake_frames: IntVectorProperty(name="Frames", size=2, default=(1, 250), description="First and last frame to bake")
+    bake_step: IntProperty(name="Step", default=1, min=1, description="From one frame that is baked to the next")
+    bake_format: EnumProperty(
+        name="Format", items=[(".ply", "PLY", ""), (".pcd", "PCD", "")], description="Of its files"
+    )
     hung_on: StringProperty(
         default="{}", options={"HIDDEN"}, description="The road beside which the LiDARs hang, as JSON"
     )
@@ -487,6 +494,7 @@ class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
     detectable_share: FloatProperty(options={"HIDDEN"})
     baseline_objective: FloatProperty(options={"HIDDEN"})
     baseline_share: FloatProperty(options={"HIDDEN"})
+    baked: StringProperty(options={"HIDDEN"}, description="Folder of its bake, from the .blend file on")
     found: StringProperty(options={"HIDDEN"}, description="What an optimization has found, as JSON")
 
 

@@ -359,11 +359,11 @@ def keep(scene: bpy.types.Scene, scenario: Scenario, recordings: list[Recording]
 
 
 def _read_with(scenario: Scenario) -> str:
-    stamps, world = [_stamp(one.path) for one in scenario.recordings], replace(scenario.world, ground=True)
+    stamps, world = [stamp(one.path) for one in scenario.recordings], replace(scenario.world, ground=True)
     return repr((scenario.recordings, scenario.road, scenario.region, world, stamps))
 
 
-def _stamp(path: str) -> tuple[int, int] | None:
+def stamp(path: str) -> tuple[int, int] | None:
     try:
         status = Path(path).stat()
     except OSError:
@@ -464,7 +464,7 @@ def live_frame(scene: bpy.types.Scene, lidar: bpy.types.Object, *, exact: bool =
     hung, vehicles, key = layout_of(scene, lidar), vehicles_of(scene), uid_of(lidar)
     whole, layout = layout_scenario(scene, hung), [properties.mounting_of(one) for one in hung]
     scenario, mounting = whole.alone(hung.index(lidar)), layout[hung.index(lidar)]
-    tables, stamps = scenario.as_tables(), [_stamp(path) for path in scenario.files.values()]
+    tables, stamps = scenario.as_tables(), [stamp(path) for path in scenario.files.values()]
     tables = {name: tables[name] for name in tables if name not in ("deployment", "search", "lidar")}
     of = repr((tables, scenario.lidar_name, moment_key(vehicles), stamps))
     about = repr((layout, [one.deployment for one in whole.lidars])) if exact and scenario.world.clutter else ""

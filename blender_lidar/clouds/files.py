@@ -123,15 +123,19 @@ _RECORD = np.dtype(
 _PLY_TYPES = {"f4": "float", "u1": "uchar", "u2": "ushort", "f8": "double", "i4": "int", "i1": "char"}
 
 
+def record_of(header: Mapping) -> np.dtype:
+    """What a PLY or PCD file with a header has of each point."""
+    return np.dtype(_RECORD.descr + [(name, f"<{kind}") for name, kind in _columns_by(header)])
+
+
 def _records(path: str | Path, cloud: PointCloud, header: Mapping) -> np.ndarray:
     """The points of a cloud, one after another; of several LiDARs each has its number."""
     _check_ids_fit(path, cloud.vehicle_id, 31, f"32 bits of a {Path(path).suffix.lstrip('.').upper()} file")
-    more = _columns_by(header)
-    record = np.zeros(len(cloud), dtype=_RECORD.descr + [(name, f"<{kind}") for name, kind in more])
+    record = np.zeros(len(cloud), dtype=record_of(header))
     record["x"], record["y"], record["z"] = cloud.xyz.T
     record["intensity"], record["ring"], record["time"] = cloud.intensity, cloud.ring, cloud.time_s
     record["vehicle_id"], record["class"] = cloud.vehicle_id, cloud.class_index
-    for name, _ in more:
+    for name, _ in _columns_by(header):
         record[name] = getattr(cloud, name)
     return record
 

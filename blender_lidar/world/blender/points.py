@@ -123,7 +123,11 @@ def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray]) -> None:
     if len(mesh.vertices) != len(points["xyz"]):
         mesh.clear_geometry()  # materials stay
         mesh.vertices.add(len(points["xyz"]))
-    mesh.vertices.foreach_set("co", np.ascontiguousarray(points["xyz"], dtype=np.float32).ravel())
+    places, stored = np.ascontiguousarray(points["xyz"], dtype=np.float32).ravel(), mesh.attributes.get("position")
+    if stored is None:  # before 3.5
+        mesh.vertices.foreach_set("co", places)
+    else:  # in a hundredth of the time
+        stored.data.foreach_set("vector", places)
     for name, values in points.items():
         if name != "xyz":
             add_attribute(mesh, name, _numbers(values) if name == "vehicle" else values)

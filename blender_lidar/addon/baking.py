@@ -1,0 +1,275 @@
+"""Bake: frames of the timeline scanned into files beside the .blend, and shown as an animated point cloud.
+
+Each file says in its header what it was made of, so that a bake goes on where it was cancelled. A handler writes the
+file of the current frame into the LiDAR's cloud, also for renders.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import ChainMap
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import fields
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from mathutils import Matrix
+
+from ..clouds.files import LABELS, record_of, write_cloud
+from ..clouds.snapshot import MountedSensor, entropy_of_vehicles, vertices_of
+from ..errors import BlenderLidarError, InputError
+from ..files import make_folder, source_digest
+from ..scene.site import lattice_of
+from ..sensors.pose import Pose
+from ..world.blender.objects import lidars, pose_of, to_road
+from ..world.blender.points import cloud_of, show_cloud
+from ..world.scenery import NO_LABEL
+from . import live, operators, panels, properties, session
+
+_EVERY_S = 0.01  # between two clouds, in which Blender redraws
+_OF_CLOUDS = ("sensor", "world", "road", "model", "objective")  # tables of a scene that its clouds depend on
+_MADE_OF, _FIELDS, _POINTS, _BITS = "made_of", "fields", "points", "entropy_bits"  # in headers
+_SAME = 1e-3  # [m, degrees]
+
+_work: dict[str, int] = {}  # of the bake at work: clouds `done` and in `total`; empty when there is none
+_shown: dict[str, dict] = {}  # by LiDAR: the header of the file that its cloud shows
+
+
+def folder_of(lidar: bpy.types.Object) -> Path:
+    """The folder of a LiDAR's bake; by its name where only a script knows of it."""
+    return Path(bpy.path.abspath(lidar.blender_lidar.baked or _folder_named(lidar)))
+
+
+def _folder_named(lidar):
+    return f"//{Path(bpy.data.filepath).stem}_bake/{bpy.path.clean_name(lidar.name)}"
+
+
+def files_of(lidar: bpy.types.Object) -> dict[int, Path]:
+    """The files of a LiDAR's bake, by frame."""
+    paths = folder_of(lidar).glob("frame_*.p*") if bpy.data.filepath else ()
+    return {int(path.stem[6:]): path for path in paths if path.stem[6:].lstrip("-").isdigit()}
+
+
+def steps(scene: bpy.types.Scene) -> Iterator[str]:
+    """Bake every LiDAR of a scene over the frames that its settings say: yields a line at first and for each cloud.
+
+    At the end, however it comes, the scene is at the frame that it was at.
+
+    Raises
+    ------
+    BlenderLidarError
+        For a file that was never saved, no LiDAR, no frame, and where Scan refuses, with the frame.
+    """
+    group, hung, before, uid = scene.blender_lidar, lidars(scene), scene.frame_current_final, session.uid_of(scene)
+    first, last = group.bake_frames if group.bake_own else (scene.frame_start, scene.frame_end)
+    frames, folders = range(first, last + 1, group.bake_step), {_folder_named(one).casefold() for one in hung}
+    if _work or not bpy.data.filepath:
+        raise InputError("a bake is at work" if _work else "the bake lies beside the .blend file; save it first")
+    if len(folders) < max(len(hung), 1) or not frames:
+        names = ", ".join(one.name for one in hung)
+        raise InputError(f"Bake: LiDARs {names}, frames {first} to {last}; allowed: some, of names that make folders")
+    for one in hung:
+        one.blender_lidar.baked = _folder_named(one)
+    keys, at = [(frame, session.uid_of(one)) for frame in frames for one in hung], None
+    _work.update(done=0, total=len(keys))
+    try:
+        yield f"{len(keys)} clouds"
+        for frame, key in keys:
+            scene = next((one for one in bpy.data.scenes if session.uid_of(one) == uid), None)
+            if scene is None:  # or a LiDAR may have been deleted meanwhile
+                return
+            if frame != at or frame != scene.frame_current_final:  # a window may play meanwhile
+                scene.frame_set(at := frame)
+            try:
+                made = [_bake(scene, one) for one in lidars(scene) if session.uid_of(one) == key]
+            except BlenderLidarError as error:
+                raise InputError(f"frame {frame}: {' '.join(str(error).split())}") from error
+            _work["done"] += 1
+            yield f"frame {frame}" if any(made) else f"frame {frame} as it was"
+    finally:
+        _work.clear()
+        if scene is not None:
+            scene.frame_set(int(before // 1), subframe=before % 1)
+
+
+def _bake(scene, lidar) -> bool:
+    """Scan the frame that a scene is at, as Scan does, into its file; False where that was made of the same already."""
+    scenario, mounting, vehicles = operators.checked_mount(scene, lidar)
+    objects, tables = session.exact_objects(scene, session.view_layer_of(scene), scenario), scenario.as_tables()
+    layout = session.layout_of(scene, lidar) if scenario.world.clutter else [lidar]  # which is kept clear of all
+    of = [source_digest(), *map(tables.get, _OF_CLOUDS), scenario.lidar_name, *map(properties.mounting_of, layout)]
+    of += map(session.stamp, scenario.files.values())
+    of += [
+        (one.digest, one.labels, one.label.tolist() if one.labels else 0) for one in (each.scenery for each in objects)
+    ]
+    of += [np.asarray(getattr(vehicles, one.name)).tolist() for one in fields(vehicles)]
+    digest = hashlib.sha256(repr(of).encode()).hexdigest()
+    path = folder_of(lidar) / f"frame_{scene.frame_current:04d}{scene.blender_lidar.bake_format}"
+    if _read(path)[1].get(_MADE_OF) == digest:
+        return False
+    frame = session.live_frame(scene, lidar, exact=True)
+    cloud, caster = frame.look(mounting.pose, objects).cloud, frame.observation.caster
+    bits = entropy_of_vehicles(cloud, vehicles, scenario.objective)
+    header = MountedSensor(scenario, mounting, lattice_of(scenario.sensor), caster, None).cloud_header(vehicles)
+    labels = dict(ChainMap(*(one.scenery.labels for one in (*objects, frame.observation.scenery) if one is not None)))
+    header |= {LABELS: labels} if labels else {}
+    header |= {_MADE_OF: digest, _FIELDS: session.sensor_table(lidar), _POINTS: len(cloud)}
+    seen = np.intersect1d(cloud.vehicle_id, vehicles.vehicle_id, return_indices=True)
+    header[_BITS] = [-1, *seen[0].tolist()], [0.0, *bits[seen[2]].round(4).tolist()]
+    make_folder(path.parent, "bake")
+    write_cloud(path, cloud, header)
+    for other in {".ply", ".pcd"} - {path.suffix}:
+        path.with_suffix(other).unlink(missing_ok=True)
+    show_cloud(lidar, vertices_of(cloud, vehicles, bits), lidar.blender_lidar.colour_by, lidar.blender_lidar.style)
+    return True
+
+
+def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+    """Points of a file of a bake, as `vertices_of` has them, and its header; none of another's, or of one cut off."""
+    record, header = np.zeros(0, record_of({})), {}
+    with suppress(OSError, ValueError, KeyError):
+        head, _, body = path.read_bytes().partition(b"\nend_header\n" if path.suffix == ".ply" else b"\nDATA binary\n")
+        told = json.loads(head[head.index(b"{") :].splitlines()[0])
+        if len(body) == told[_POINTS] * record_of(told).itemsize:
+            record, header = np.frombuffer(body, record_of(told)), told
+    points = {"lidar": np.zeros(len(record), np.int32), "label": np.full(len(record), NO_LABEL, np.int32)}
+    points |= {name: record[name] for name in record.dtype.names if name not in ("x", "y", "z", "class")}
+    points |= {"xyz": np.stack([record[axis] for axis in "xyz"], axis=1), "vehicle": points.pop("vehicle_id")}
+    points["entropy"] = np.interp(points["vehicle"], *header.get(_BITS, ([-1], [0.0])))
+    away = points["xyz"] - np.float32(Pose.from_table(header["pose"]).position if header else 0.0)
+    return points | {"range": np.sqrt((away**2).sum(axis=1))}, header
+
+
+@persistent
+def on_frame(scene, depsgraph=None, *_) -> None:
+    """Let each LiDAR that was baked and is not live show the file of the frame that the scene has gone to, if any."""
+    rendering = depsgraph is not None and depsgraph.mode == "RENDER"  # when no object may be made
+    for lidar in [] if _work or not bpy.data.filepath else lidars(scene):
+        folder = folder_of(lidar)
+        if lidar.blender_lidar.live or not folder.is_dir() or (rendering and cloud_of(lidar) is None):
+            continue
+        name = f"frame_{scene.frame_current:04d}"
+        points, _shown[session.uid_of(lidar)] = _read(next(folder.glob(f"{name}.p*"), folder / name))
+        scene.render.use_lock_interface = True  # a window that draws while a render changes meshes may crash
+        with suppress(BlenderLidarError):  # a tilted road frame, which the tab says
+            cloud = show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style)
+            if depsgraph is not None:  # while rendering, what moves is known there alone
+                there = to_road(scene, depsgraph) @ np.array(lidar.evaluated_get(depsgraph).matrix_world)
+                cloud.matrix_parent_inverse = Matrix(there).inverted_safe()
+
+
+@persistent
+def on_load(*_) -> None:
+    """Show what was baked of a file that was opened."""
+    for scene in bpy.data.scenes:
+        on_frame(scene)
+
+
+def is_changed(lidar: bpy.types.Object) -> bool:
+    """Whether a LiDAR hangs elsewhere than in the bake of the frame that is shown, or has another sensor."""
+    header = _shown.get(session.uid_of(lidar))
+    if not header:
+        return False
+    try:
+        pose = pose_of(lidar).as_table()
+    except BlenderLidarError:  # mirrored, which the tab says
+        return True
+    moved = any(abs(pose[key] - value) > _SAME for key, value in header["pose"].items())
+    return moved or json.loads(json.dumps(session.sensor_table(lidar))) != header.get(_FIELDS)
+
+
+class BLENDER_LIDAR_OT_bake(operators.NeedsLidar, bpy.types.Operator):
+    """Scan every LiDAR on each frame of a range, into files beside the .blend that play and render; again: cancel"""
+
+    bl_idname, bl_label, bl_options = "blender_lidar.bake", "Bake", {"REGISTER"}
+
+    @operators.one_line_errors
+    def execute(self, context):
+        """Bake all at once, as scripts do."""
+        self.report({"INFO"}, f"{sum(1 for _ in steps(context.scene)) - 1} clouds are baked")
+        return {"FINISHED"}
+
+    def invoke(self, context, event):
+        """Bake while the window stays free, or cancel that."""
+        return self._begun(context)
+
+    @operators.one_line_errors
+    def _begun(self, context):
+        if _work:
+            _work["stopped"] = True
+            return {"FINISHED"}
+        self._steps = steps(context.scene)
+        next(self._steps)
+        self._timer = context.window_manager.event_timer_add(_EVERY_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        """Make the next cloud."""
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        live.redraw()
+        try:
+            if "stopped" not in _work and next(self._steps, None) is not None:
+                return {"PASS_THROUGH"}
+        except BlenderLidarError as error:
+            self.report({"ERROR"}, str(error))
+        self.cancel(context)
+        bpy.ops.ed.undo_push(message="Bake LiDARs")
+        return {"FINISHED"}
+
+    def cancel(self, context):
+        """End it; Blender calls it where it closes the window or the file."""
+        context.window_manager.event_timer_remove(self._timer)
+        self._steps.close()
+
+
+class BLENDER_LIDAR_OT_free_bake(bpy.types.Operator):
+    """Delete the baked files of every LiDAR of the scene"""
+
+    bl_idname, bl_label, bl_options = "blender_lidar.free_bake", "Delete Bake", {"REGISTER"}
+
+    def invoke(self, context, event):
+        """Ask first."""
+        return context.window_manager.invoke_confirm(self, event)
+
+    def execute(self, context):
+        """Delete what Bake has written, and folders that hold nothing else."""
+        for lidar in lidars(context.scene):
+            for path in files_of(lidar).values():
+                if _MADE_OF in _read(path)[1]:
+                    path.unlink()
+            for place in (folder_of(lidar), folder_of(lidar).parent):
+                with suppress(OSError):
+                    place.rmdir()
+            lidar.blender_lidar.baked = ""
+            _shown.pop(session.uid_of(lidar), None)
+        return {"FINISHED"}
+
+
+@panels.panel("Bake", panels.BLENDER_LIDAR_PT_main.__name__, bl_options={"DEFAULT_CLOSED"}, bl_order=8)
+class BLENDER_LIDAR_PT_bake(panels.OfLidar, bpy.types.Panel):
+    """Which frames are baked, how far that is, and what there is."""
+
+    def draw_for(self, layout, scene, lidar):
+        """Range, format, buttons, and what is baked."""
+        if _work:
+            panels.say(layout, f"{_work['done']} of {_work['total']} clouds")
+            layout.operator("blender_lidar.bake", text="Cancel", icon="X", translate=False)
+            return
+        group, frames = scene.blender_lidar, files_of(lidar)
+        panels.rows(layout, group, "bake_own", *(["bake_frames"] if group.bake_own else []), "bake_step", "bake_format")
+        layout.operator("blender_lidar.bake", icon="RENDER_ANIMATION", translate=False)
+        if frames:
+            panels.say(layout, f"Baked frames {min(frames)} to {max(frames)}", icon="FILE_TICK")
+            layout.operator("blender_lidar.free_bake", icon="TRASH", translate=False)
+            if is_changed(lidar):
+                panels.say(layout, "Changed since: bake again.", icon="ERROR")
+
+
+classes = (BLENDER_LIDAR_OT_bake, BLENDER_LIDAR_OT_free_bake, BLENDER_LIDAR_PT_bake)
+app_handlers = {"frame_change_post": on_frame, "load_post": on_load}
