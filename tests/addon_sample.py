@@ -106,7 +106,12 @@ def fields(group):
         if key in ("rna_type", "name"):
             continue
         value = getattr(group, key, None)
-        found[key] = fields(value) if kind.type == "POINTER" else str(tuple(value) if kind_is_array(kind) else value)
+        if isinstance(value, bpy.types.PropertyGroup):
+            found[key] = fields(value)
+        elif kind.type == "COLLECTION":
+            found[key] = [fields(one) for one in value]
+        else:
+            found[key] = str(tuple(value) if kind_is_array(kind) else getattr(value, "name", value))
     return found
 
 

@@ -145,7 +145,7 @@ def test_where_undo_has_ended_it_nothing_is_written(lidar):
     before = len(cloud_of(lidar).data.vertices)
     lidar.blender_lidar.live = True
     moved(lidar, x_m=9.0)
-    live.on_other_time()
+    live.on_history()
     lidar.blender_lidar.live = False
     assert len(cloud_of(lidar).data.vertices) == before
     assert not cloud_of(lidar).hide_get()

@@ -1,41 +1,47 @@
 """Live preview: while a LiDAR is moved its cloud, its score and the vehicles' colours follow, drawn by the GPU.
 
 What changes is marked by handlers and looked at by a timer, in one go for all events between two redraws. The user's
-own objects occlude at preview quality here; Scan, Score and Optimise cast against their exact triangles.
+own objects occlude at preview quality here; Scan, Score and Optimise cast against their exact triangles. The cloud in
+Blender's data is hidden meanwhile; before a save or a render, and at the end, what was seen last is written into it.
 """
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
+from mathutils import Euler
 
 from ..clouds.live import LiveFrame, Look
 from ..clouds.scan import joined_clouds
 from ..clouds.snapshot import entropy_of_vehicles, vertices_of
 from ..errors import BlenderLidarError
+from ..scene.mount_checks import check_mount_is_clear
 from ..scene.scenario import Scenario
 from ..traffic.vehicles import Vehicles
-from ..world.blender.objects import SHAPE, VEHICLE, VEHICLE_ID, frame_of, lidars, role, wear_own_paint
-from ..world.blender.points import STYLES, cloud_of, colour_cloud, colours_by, set_style, show_cloud
+from ..world.blender.objects import check_local, frame_of
+from ..world.blender.points import STYLES, cloud_of, colour_cloud, colours_by, colours_of, set_style, show_cloud
 from ..world.blender.preview import VisibleObjects
-from ..world.blender.traffic import colour_vehicles
 from . import properties, session
 
 classes = ()
 _POINT_SIZE = 3.0  # [pixels]
 _OWN_POINTS = (4, 5)  # from there on a shader for points, as not every GPU interface knows their size otherwise
 _PAUSE_S = 0.005  # Blender handles the next events and redraws in between
+_BOX_ALPHA, _BOX_GAP_M = 0.25, 0.05  # of the faces of vehicles' boxes; how far they stand off
+_VIEW_TILT, _VIEW_TURN, _VIEW_MOST_M = 1.0, -0.35, 60.0  # how a site is looked at: from behind the LiDAR, obliquely
 
 
 @dataclass(eq=False)
 class _Shown:
     """What is kept of a LiDAR that is live."""
 
-    scene: str
-    seen: object = None  # place, frame and objects that it was looked at with
+    seen: object = None  # place, time and objects that it was looked at with
+    since_s: float = 0.0
     frame: LiveFrame | None = None
     scenario: Scenario | None = None
     baseline: Look | None = None
@@ -44,6 +50,16 @@ class _Shown:
     bits: np.ndarray | None = None  # of every vehicle
     colours: np.ndarray | None = None
     batch: object = None
+    cloud: str = ""  # name of the object that is hidden meanwhile
+
+
+@dataclass(eq=False)
+class _Boxes:
+    """The vehicles of a scene, to be drawn in the colours of their entropy."""
+
+    vehicles: Vehicles
+    bits: np.ndarray
+    batches: tuple | None = None
 
 
 @dataclass(eq=False)
@@ -51,8 +67,10 @@ class _State:
     """What is kept beside Blender's data, by the `session_uid` of LiDARs and scenes."""
 
     shown: dict[str, _Shown] = field(default_factory=dict)
+    boxes: dict[str, _Boxes] = field(default_factory=dict)
     objects: dict[str, VisibleObjects] = field(default_factory=dict)
     drawing: object = None
+    rendering: bool = False
 
 
 _state = _State()
@@ -61,30 +79,32 @@ _state = _State()
 # --- What is live, and what each update does --------------------------------------------------------------------------
 
 
-def update() -> None:
-    """Look again from every live LiDAR of the scenes that are open in windows, where anything has changed."""
-    live = set()
+@properties.guarded
+def update(graph: bpy.types.Depsgraph | None = None) -> None:
+    """Look again from every live LiDAR of the scenes that are open in windows, where anything has changed.
+
+    `graph` is what a renderer has evaluated; without it nothing is looked at while it renders.
+    """
+    if _state.rendering and graph is None:
+        return
+    live = {}
     for scene, layer in _open_scenes():
-        found = lidars(scene)
-        together = any(lidar.blender_lidar.live and lidar.blender_lidar.in_layout for lidar in found)
-        mine = [one for one in found if one.blender_lidar.live or (together and one.blender_lidar.in_layout)]
-        live |= {session.uid_of(lidar) for lidar in mine}
+        mine = _live_in(scene)
+        live |= {session.uid_of(lidar): lidar for lidar in mine}
         if not mine:
             continue
-        key = session.uid_of(scene)
-        objects = _state.objects.setdefault(key, VisibleObjects())
-        layer.update()  # instances of objects that have gone since would crash Blender
+        objects = _state.objects.setdefault(session.uid_of(scene), VisibleObjects())
+        if graph is None:
+            layer.update()  # instances of objects that have gone since would crash Blender
         try:
-            objects.refresh(scene, layer.depsgraph)
+            objects.refresh(scene, graph or layer.depsgraph)
         except BlenderLidarError as error:
             objects.forget()  # so that all is looked at again
-            _tell(scene, str(error))
+            properties.tell(scene, str(error))
             continue
         problems, moved = [], False
         for lidar in mine:
-            shown = _state.shown.get(session.uid_of(lidar))
-            if shown is None:
-                shown = _state.shown[session.uid_of(lidar)] = _begin(scene, layer, lidar)
+            shown = _state.shown.setdefault(session.uid_of(lidar), _Shown())
             try:
                 if _update_one(scene, lidar, shown, objects):
                     shown.problem, moved = "", True
@@ -92,22 +112,26 @@ def update() -> None:
                 shown.problem, moved = " ".join(str(error).split()), True
             problems += [shown.problem] if shown.problem else []
         if moved:
+            redraw()
             try:
                 _update_layout(
                     scene, next((session.layout_of(scene, one) for one in mine if one.blender_lidar.in_layout), [])
                 )
             except BlenderLidarError as error:
                 problems.append(" ".join(str(error).split()))
-            _tell(scene, problems[0] if problems else "")
-    for key in set(_state.shown) - live:
+            properties.tell(scene, problems[0] if problems else "")
+    for key in set(_state.shown) - live.keys():
         _end(key, _state.shown.pop(key))
+    if graph is None:
+        hide_clouds()
     _draw_if(bool(_state.shown))
 
 
-def _tell(scene, problem) -> None:
-    """Say at the top of the tab what is wrong; what is set is drawn again."""
-    if scene.blender_lidar.problem != problem:
-        scene.blender_lidar.problem = problem
+def _live_in(scene):
+    """The LiDARs of a scene that are looked at: those that are live, and all of a layout of which one is."""
+    found = session.lidars_of(scene)
+    together = any(lidar.blender_lidar.live and lidar.blender_lidar.in_layout for lidar in found)
+    return [one for one in found if one.blender_lidar.live or (together and one.blender_lidar.in_layout)]
 
 
 def _open_scenes() -> list[tuple[bpy.types.Scene, bpy.types.ViewLayer]]:
@@ -120,17 +144,18 @@ def _open_scenes() -> list[tuple[bpy.types.Scene, bpy.types.ViewLayer]]:
 
 def _update_one(scene, lidar, shown, objects) -> bool:
     """Look from a LiDAR unless it was looked at as it is now; whether that was done."""
-    group, mounting = lidar.blender_lidar, properties.mounting_of(lidar)
-    now = mounting, session.since_of(scene), objects.state, group.colour_by
+    check_local(lidar)
+    group, mounting, since_s = lidar.blender_lidar, properties.mounting_of(lidar), session.since_of(scene)
+    now = mounting, since_s, objects.state, group.colour_by
     if now == shown.seen:
         return False
     shown.seen = now
-    vehicles = session.vehicles_of(scene)
-    frame = shown.frame
-    same = frame is not None and session.moment_key(frame.frame.vehicles) == session.moment_key(vehicles)
-    if not same or session.dragged_off(lidar, mounting):
+    if shown.frame is None or shown.since_s != since_s or session.dragged_off(lidar, mounting):
+        shown.frame, shown.since_s = session.live_frame(scene, lidar), since_s
         shown.scenario, shown.baseline = session.scenario_from(scene, lidar), None
-        frame = shown.frame = session.live_frame(scene, lidar)
+    frame, vehicles = shown.frame, shown.frame.frame.vehicles
+    if session.has_road(scene):
+        check_mount_is_clear(shown.scenario, [vehicles], {lidar.name: mounting})
     if shown.baseline is None:
         shown.baseline = frame.look(shown.scenario.baseline.pose, [objects]) if frame.scoring else None
     shown.look = look = frame.look(mounting.pose, [objects])
@@ -139,15 +164,15 @@ def _update_one(scene, lidar, shown, objects) -> bool:
     shown.batch = None
     session.store(lidar, vehicles, look, shown.baseline or look)
     if lidar == session.active_lidar(scene):
-        colour_vehicles(*_coloured(scene, vehicles, shown.bits))
-    redraw()
+        _state.boxes[session.uid_of(scene)] = _Boxes(vehicles, shown.bits)
     return True
 
 
 def _update_layout(scene, hung) -> None:
     """Fuse what the LiDARs of a layout have looked at last; nothing is said of it while one of them cannot look."""
     shown = [_state.shown[session.uid_of(one)] for one in hung]
-    scene.blender_lidar.fused = ""
+    if scene.blender_lidar.fused:
+        scene.blender_lidar.fused = ""
     if len(shown) < 2 or any(one.problem for one in shown):
         return
     looks = [(one.look, one.baseline or one.look) for one in shown]
@@ -156,49 +181,67 @@ def _update_layout(scene, hung) -> None:
     if session.active_lidar(scene) in hung:
         vehicles = shown[0].frame.frame.vehicles
         bits = entropy_of_vehicles(cloud, vehicles, shown[0].scenario.objective)
-        colour_vehicles(*_coloured(scene, vehicles, bits))
+        _state.boxes[session.uid_of(scene)] = _Boxes(vehicles, bits)
 
 
-def _coloured(scene: bpy.types.Scene, vehicles: Vehicles, bits: np.ndarray):
-    """The objects of a frame's vehicles, and the entropy of each."""
-    row = {str(number): at for at, number in enumerate(vehicles.vehicle_id.tolist())}
-    items = [item for item in scene.objects if role(item) == VEHICLE and item.get(VEHICLE_ID) in row]
-    return items, bits[[row[item[VEHICLE_ID]] for item in items]]
+# --- Blender's own points: hidden while live, and current whenever they are shown -------------------------------------
 
 
-def _begin(scene, layer, lidar) -> _Shown:
-    """What was measured before is not shown while a LiDAR is live, and solid views show the colours of objects."""
-    cloud = cloud_of(lidar)
-    if cloud is not None and cloud.name in layer.objects:
-        cloud.hide_set(True, view_layer=layer)
-    for item in scene.objects:  # what else is ours keeps its look
-        if role(item) not in (None, VEHICLE):
-            wear_own_paint(item)
-    _colour_solid("MATERIAL", "OBJECT")
-    return _Shown(session.uid_of(scene))
+def hide_clouds(*_) -> None:
+    """Hide the clouds of live LiDARs, which the GPU draws; one is made where there is none yet."""
+    for lidar, layer, shown in _looked_at():
+        if (cloud := _cloud(lidar, shown)) is None and shown.look is not None:
+            cloud = _write(lidar, shown)
+        if cloud is not None and not cloud.hide_get(view_layer=layer):
+            with suppress(RuntimeError):  # it is in no collection of this view layer
+                cloud.hide_set(True, view_layer=layer)
+
+
+def write_clouds(*_) -> None:
+    """Let the clouds of live LiDARs be what was seen last."""
+    for lidar, _layer, shown in _looked_at():
+        _write(lidar, shown)
+
+
+def _looked_at():
+    """LiDARs that are live, with a view layer that shows them and what is kept of each."""
+    for scene, layer in _open_scenes():
+        for lidar in session.lidars_of(scene):
+            if lidar.library is None and session.uid_of(lidar) in _state.shown:
+                yield lidar, layer, _state.shown[session.uid_of(lidar)]
+
+
+def _cloud(lidar, shown):
+    """The cloud of a LiDAR, without a look at all objects where it is known."""
+    cloud = bpy.data.objects.get(shown.cloud)
+    if cloud is None or cloud.parent != lidar:
+        cloud = cloud_of(lidar)
+        shown.cloud = "" if cloud is None else cloud.name
+    return cloud
+
+
+def _write(lidar, shown):
+    """Let a cloud be what was seen last, but where undo has ended it, or the LiDAR cannot look."""
+    if shown.look is not None and shown.frame is not None and not shown.problem:
+        points = vertices_of(shown.look.cloud, shown.frame.frame.vehicles, shown.bits)
+        return show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style)
+    return _cloud(lidar, shown)
 
 
 def _end(key: str, shown: _Shown) -> None:
-    """Let Blender's own points stand for what was drawn last, and vehicles have their paint again."""
+    """Let Blender's own points stand for what was drawn last."""
     for scene, layer in _open_scenes():
-        for lidar in lidars(scene):
-            if session.uid_of(lidar) != key:
-                continue
-            if shown.look is not None and shown.frame is not None:  # not where undo has ended it
-                vehicles = shown.frame.frame.vehicles
-                points = vertices_of(shown.look.cloud, vehicles, shown.bits)
-                show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style)
-            cloud = cloud_of(lidar)
-            if cloud is not None and cloud.name in layer.objects:
-                cloud.hide_set(False, view_layer=layer)
-        if not any(one.scene == session.uid_of(scene) for one in _state.shown.values()):
-            colour_vehicles([item for item in scene.objects if role(item) == VEHICLE and SHAPE in item], None)
-    if not _state.shown:
-        _colour_solid("OBJECT", "MATERIAL")
+        lidars = session.lidars_of(scene)
+        for lidar in lidars:
+            if session.uid_of(lidar) == key and (cloud := _write(lidar, shown)) is not None:
+                with suppress(RuntimeError):
+                    cloud.hide_set(False, view_layer=layer)
+        if not any(session.uid_of(one) in _state.shown for one in lidars):
+            _state.boxes.pop(session.uid_of(scene), None)
     redraw()
 
 
-# --- Drawing ----------------------------------------------------------------------------------------------------------
+# --- Views, and drawing -----------------------------------------------------------------------------------------------
 
 
 def _views():
@@ -213,12 +256,18 @@ def redraw() -> None:
         area.tag_redraw()
 
 
-def _colour_solid(of: str, to: str) -> None:
-    """Let views that show the colours `of` materials or objects in solid mode show the others."""
+def frame_site(lidar: bpy.types.Object, reach_m: float) -> None:
+    """Let 3D views that do not look through a camera show a LiDAR and the traffic within its reach [m]."""
+    _, y, _ = lidar.matrix_world.to_3x3().col
+    reach_m = min(reach_m, _VIEW_MOST_M)
     for area in _views():
-        for space in area.spaces:
-            if space.type == "VIEW_3D" and space.shading.color_type == of:
-                space.shading.color_type = to
+        view = area.spaces.active.region_3d
+        if view.view_perspective != "CAMERA":
+            x, y_, z = lidar.matrix_world.translation
+            ahead = math.atan2(y.y, y.x)
+            view.view_location = x + 0.2 * reach_m * math.cos(ahead), y_ + 0.2 * reach_m * math.sin(ahead), 0.5 * z
+            view.view_distance = 1.2 * reach_m
+            view.view_rotation = Euler((_VIEW_TILT, 0.0, ahead - 0.5 * math.pi + _VIEW_TURN)).to_quaternion()
 
 
 def _draw_if(wanted: bool) -> None:
@@ -238,46 +287,116 @@ def _shader_name():
 
 
 def _draw() -> None:
-    """Draw the points of all live LiDARs of the scene that the view shows."""
+    """Draw the points of all live LiDARs of the scene that the view shows, and its vehicles."""
     import gpu  # of no use without a window
     from gpu_extras.batch import batch_for_shader
 
-    scene, scale = session.uid_of(bpy.context.scene), bpy.context.scene.unit_settings.scale_length
-    frame = frame_of(bpy.context.scene)
+    scene = bpy.context.scene
+    if not bpy.context.space_data.overlay.show_overlays:
+        return
+    scale, frame = scene.unit_settings.scale_length, frame_of(scene)
     shader = gpu.shader.from_builtin(_shader_name())
-    if bpy.app.version >= _OWN_POINTS:
-        shader.uniform_float("size", _POINT_SIZE)
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.point_size_set(_POINT_SIZE)
     gpu.matrix.push()
     if frame is not None:
         gpu.matrix.multiply_matrix(frame.matrix_world)
-    for shown in _state.shown.values():
-        if shown.scene != scene or shown.look is None:
+    for lidar in session.lidars_of(scene):
+        shown = _state.shown.get(session.uid_of(lidar))
+        if shown is None or shown.look is None or shown.problem or not lidar.visible_get():
             continue
         if shown.batch is None:
             places = np.ascontiguousarray(shown.look.cloud.xyz / scale, dtype=np.float32)
             shown.batch = batch_for_shader(shader, "POINTS", {"pos": places, "color": shown.colours})
+        shader.bind()
+        if bpy.app.version >= _OWN_POINTS:
+            shader.uniform_float("size", _POINT_SIZE)
         shown.batch.draw(shader)
+    _draw_boxes(_state.boxes.get(session.uid_of(scene)), scale)
     gpu.matrix.pop()
     gpu.state.point_size_set(1.0)
     gpu.state.depth_test_set("NONE")
+
+
+def _draw_boxes(boxes, scale):
+    """Draw the boxes of vehicles in the colours of their entropy, whatever a view's shading."""
+    import gpu
+    from gpu_extras.batch import batch_for_shader
+
+    if boxes is None:
+        return
+    shader = gpu.shader.from_builtin("3D_FLAT_COLOR" if bpy.app.version < (4, 0) else "FLAT_COLOR")
+    if boxes.batches is None:
+        corners = (box_corners(boxes.vehicles) / scale).reshape(-1, 3).astype(np.float32)
+        colours = np.ones((len(boxes.bits), 8, 4), np.float32)
+        colours[..., :3] = colours_of(boxes.bits)[:, None]
+        first = 8 * np.arange(len(boxes.bits), dtype=np.int32)[:, None, None]
+        made = []
+        for kind, alpha, of in (("LINES", 1.0, _EDGES), ("TRIS", _BOX_ALPHA, _FACES)):
+            colours[..., 3] = alpha
+            rows = (first + of).reshape(-1, of.shape[1])
+            given = {"pos": corners, "color": colours.reshape(-1, 4).copy()}
+            made.append(batch_for_shader(shader, kind, given, indices=rows))
+        boxes.batches = tuple(made)
+    gpu.state.blend_set("ALPHA")
+    gpu.state.depth_mask_set(False)
+    for batch in boxes.batches:
+        batch.draw(shader)
+    gpu.state.blend_set("NONE")
+
+
+_SIGNS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_EDGES = np.array([(a, a + step) for step in (1, 2, 4) for a in range(8) if not a & step], np.int32)
+_FACES = np.array(
+    [
+        face
+        for step, (u, v) in ((1, (2, 4)), (2, (1, 4)), (4, (1, 2)))
+        for a in (0, step)
+        for face in ((a, a + u, a + v), (a + u, a + u + v, a + v))
+    ],
+    np.int32,
+)
+
+
+def box_corners(vehicles: Vehicles) -> np.ndarray:
+    """Corners of vehicles' boxes as they are drawn, a little larger than the vehicles, (n, 8, 3) [m]."""
+    local = _SIGNS * (vehicles.size_m + 2.0 * _BOX_GAP_M)[:, None]
+    cos, sin = np.cos(vehicles.heading_rad)[:, None], np.sin(vehicles.heading_rad)[:, None]
+    x, y, z = np.moveaxis(local, -1, 0)
+    return np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1) + vehicles.centre_m[:, None]
 
 
 # --- Events that mark a change ----------------------------------------------------------------------------------------
 
 
 @persistent
+@properties.guarded
 def on_update(scene, depsgraph=None, *_) -> None:
     """Mark what Blender has evaluated again."""
+    _heed(depsgraph)
+    _soon()
+
+
+def _heed(depsgraph):
     for objects in () if depsgraph is None else _state.objects.values():
         objects.heed(depsgraph.updates)
+
+
+@persistent
+@properties.guarded
+def on_frame(scene, depsgraph=None, *_) -> None:
+    """Mark another time; while a renderer asks for it, look at once and write what is seen into the cloud."""
+    _heed(depsgraph)
+    if _state.rendering and depsgraph is not None:
+        update(depsgraph)
+        write_clouds()
     _soon()
 
 
 @persistent
-def on_other_time(*_) -> None:
-    """Mark all: another file, another moment, or another state from the history of undo."""
+@properties.guarded
+def on_history(*_) -> None:
+    """Mark all: other settings, or another state from the history of undo."""
     for shown in _state.shown.values():
         shown.seen = shown.frame = None
     for objects in _state.objects.values():
@@ -286,20 +405,49 @@ def on_other_time(*_) -> None:
 
 
 @persistent
+@properties.guarded
 def on_load(*_) -> None:
     """Let go of what was drawn of the file before."""
-    _state.shown.clear()
-    _state.objects.clear()
+    for kept in (_state.shown, _state.boxes, _state.objects):
+        kept.clear()
+    _state.rendering = False
     _draw_if(False)
+    _soon()
+
+
+@persistent
+@properties.guarded
+def on_save(*_) -> None:
+    """Save the clouds of live LiDARs as they are, and visible."""
+    update()
+    for lidar, layer, shown in _looked_at():
+        if (cloud := _write(lidar, shown)) is not None:
+            with suppress(RuntimeError):
+                cloud.hide_set(False, view_layer=layer)
+
+
+@persistent
+@properties.guarded
+def on_render(*_) -> None:
+    """Render the clouds of live LiDARs as they are: hidden in views, they are not in pictures."""
+    write_clouds()
+    _state.rendering = True
+
+
+@persistent
+@properties.guarded
+def on_rendered(*_) -> None:
+    """Go on."""
+    _state.rendering = False
     _soon()
 
 
 def on_change(block: bpy.types.ID, table: str) -> None:
     """A property of the panel has changed."""
     if table not in ("live", "look", "style"):
-        on_other_time()
-    elif bpy.app.background:
-        update()
+        on_history()
+    elif table == "live" or bpy.app.background:
+        update()  # at once, so that the step of undo has the cloud as it is to be
     cloud = cloud_of(block) if table in ("look", "style") else None
     if table == "style":
         if cloud is not None:
@@ -314,16 +462,21 @@ def _soon() -> None:
     """Update once Blender has handled what it is at."""
     if bpy.app.background or bpy.app.timers.is_registered(update):
         return
-    if _state.shown or any(lidar.blender_lidar.live for scene, _ in _open_scenes() for lidar in lidars(scene)):
+    if _state.shown or any(_live_in(scene) for scene, _ in _open_scenes()):
         bpy.app.timers.register(update, first_interval=_PAUSE_S)
 
 
 app_handlers = {
     "depsgraph_update_post": on_update,
-    "frame_change_post": on_other_time,
-    "undo_post": on_other_time,
-    "redo_post": on_other_time,
+    "frame_change_post": on_frame,
+    "undo_post": on_history,
+    "redo_post": on_history,
     "load_post": on_load,
+    "save_pre": on_save,
+    "save_post": persistent(hide_clouds),
+    "render_init": on_render,
+    "render_complete": on_rendered,
+    "render_cancel": on_rendered,
 }
 
 
@@ -333,8 +486,10 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Listen and draw no more."""
+    """Listen and draw no more; the clouds are shown as they were seen last."""
     properties.ON_CHANGE.remove(on_change)
+    while _state.shown:
+        properties.guarded(_end)(*_state.shown.popitem())
     on_load()
     if bpy.app.timers.is_registered(update):
         bpy.app.timers.unregister(update)

@@ -27,6 +27,7 @@ from ..toml_table import read_toml
 from ..traffic import Recording
 from ..traffic.vehicles import SAME_S, Vehicles
 from ..world.blender.objects import (
+    FAN,
     PART,
     SENSOR,
     SETTINGS,
@@ -35,6 +36,8 @@ from ..world.blender.objects import (
     collection,
     dress,
     frame_of,
+    is_lidar,
+    is_local,
     lidars,
     new_lidar,
     remove_orphans,
@@ -47,7 +50,7 @@ from ..world.blender.road import build_road, show_ground
 from ..world.blender.site import is_own, open_scenery
 from ..world.blender.traffic import show_vehicles
 from ..world.scenery import Scenery
-from . import properties, session
+from . import live, properties, session
 
 _LEAST_REACH_M = 120.0  # of the road that is shown
 _WITH_FACES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
@@ -107,7 +110,7 @@ def show_traffic(scene: bpy.types.Scene, recording: Recording, frame: int, scene
     reach = max(_LEAST_REACH_M, scenario.sensor.range_gate_m)
     bare = frame_of(scene) is None
     build_road(scene, scenario.road_map, scenario.deployment.nominal_xy, reach)
-    for lidar in lidars(scene) if bare else ():  # which has no pole yet
+    for lidar in filter(is_local, lidars(scene) if bare else ()):  # which has no pole yet
         dress(lidar, lattice_of(session.sensor_of(lidar)))
     show_ground(scene, session.view_layer_of(scene), shown=scene.blender_lidar.world.ground)
     build_scenery(scene, scenery)
@@ -161,12 +164,12 @@ def _take_over(operator, context, path):
     recordings, scenery = read_recordings(scenario), _standing(scenario)
     session.fill_scene(scene, tables, folder, scenario)
     properties.hang_again(scene)
-    there, taken = {one.name: one for one in lidars(scene)}, set()
+    there, taken = {one.name: one for one in filter(is_local, lidars(scene))}, set()
     for one in there.values() if scenario.lidar_name else ():
         one.blender_lidar.in_layout = False
     for number, one in enumerate(scenario.each):
         found = there.get(one.lidar_name) if one.lidar_name else session.active_lidar(scene)
-        if found is None:  # where what is not searched is as the file says, each on a pole of its own
+        if found is None or found.library is not None:  # a new one as the file says, each on a pole of its own
             places = [place.fixed for place in one.deployment.places]
             fixed = next((of for of in places if (of.get("x_m"), of.get("y_m")) not in taken), places[0])
             taken.add((fixed.get("x_m"), fixed.get("y_m")))
@@ -175,6 +178,7 @@ def _take_over(operator, context, path):
         session.fill_lidar(found, tables, folder, scenario, number)
         dress(found, lattice_of(one.sensor))
     select(context, session.layout_of(scene, found)[0])
+    live.frame_site(context.view_layer.objects.active, scenario.sensor.range_gate_m)
     recording = session.keep(scene, session.scenario_from(scene), recordings)
     ids = scenario.traffic.frame_ids
     show_traffic(scene, recording, ids[0] if ids else int(recording.frames[len(recording.frames) // 2]), scenery)
@@ -220,7 +224,7 @@ def add_lidar(scene: bpy.types.Scene, pose: Pose, name: str = "LiDAR") -> bpy.ty
     lidar = new_lidar(scene, pose, name)
     lidar.blender_lidar.schema = properties.SCHEMA
     dress(lidar, lattice_of(session.sensor_of(lidar)))
-    scene.blender_lidar.active = lidar.name
+    scene.blender_lidar.lidars.add().lidar = scene.blender_lidar.active = lidar
     return lidar
 
 
@@ -231,7 +235,22 @@ def select(context: bpy.types.Context, lidar: bpy.types.Object) -> None:
         for item in context.selected_objects:
             item.select_set(False)
         context.view_layer.objects.active = lidar
+        lidar.hide_set(False)
         lidar.select_set(True)
+
+
+def select_wearer(layer: bpy.types.ViewLayer) -> None:
+    """Select a LiDAR in place of its head, pole or fan where that is the active object: who clicks on it means it."""
+    if is_clicked(layer.objects.active):
+        part, lidar = layer.objects.active, layer.objects.active.parent
+        part.select_set(False, view_layer=layer)
+        lidar.select_set(True, view_layer=layer)
+        layer.objects.active = lidar
+
+
+def is_clicked(item: bpy.types.Object | None) -> bool:
+    """Whether an active object is a head, pole or fan that stands for its LiDAR."""
+    return item is not None and role(item) in (PART, FAN) and is_lidar(item.parent)
 
 
 class BLENDER_LIDAR_OT_add(bpy.types.Operator):
@@ -304,18 +323,22 @@ class BLENDER_LIDAR_OT_select(bpy.types.Operator):
         if lidar is None or lidar.name not in context.view_layer.objects:
             self.report({"ERROR"}, f"no LiDAR {self.name!r} in this view layer")
             return {"CANCELLED"}
-        scene.blender_lidar.active = lidar.name
+        scene.blender_lidar.active = lidar
         select(context, lidar)
         return {"FINISHED"}
 
 
 def adopt(scene: bpy.types.Scene) -> None:
     """Take over LiDARs that were built without the add-on, and complete those that were duplicated alone."""
+    if scene.library is not None:
+        return
     remove_orphans(scene)
+    session.keep_lidars(scene, lidars(scene))
     stored = scene.get(SETTINGS)
     if stored and scene.blender_lidar.schema == 0:
         _fill_from(scene)
-    found, carried = lidars(scene), frame_of(scene) is not None or not session.has_road(scene)
+    here = list(filter(is_local, lidars(scene)))
+    found, carried = here, frame_of(scene) is not None or not session.has_road(scene)
     if found and not carried:
         road_frame(scene)
     for lidar in found:
@@ -323,7 +346,8 @@ def adopt(scene: bpy.types.Scene) -> None:
             if SETTINGS in lidar:
                 session.fill_lidar(lidar, *_stored(lidar), json.loads(lidar[SETTINGS]).get("number", 0))
             lidar.blender_lidar.schema = properties.SCHEMA
-        if not carried or not any(role(child) == PART for child in lidar.children):
+        parts = [child for child in lidar.children if role(child) == PART]
+        if not carried or not parts or parts[0].hide_select:  # as in files of before
             dress(lidar, lattice_of(session.sensor_of(lidar)))
 
 
@@ -386,6 +410,7 @@ class BLENDER_LIDAR_OT_scan(NeedsLidar, bpy.types.Operator):
             session.store(lidar, vehicles, look, base)
             scored = "" if look.scored is None else f", objective {group.objective:.2f}"
             told.append(f"{lidar.name}: {group.points:,} points at {group.scanned_s:.2f} s{scored}")
+        live.hide_clouds()
         self.report({"INFO"}, "; ".join(told))
         return {"FINISHED"}
 

@@ -35,7 +35,7 @@ from ..run.verdict import POINTS
 from ..scene.mounting import mounting_from
 from ..scene.scenario import Scenario
 from ..scene.settings import DECLARED
-from ..world.blender.objects import hang, lidars
+from ..world.blender.objects import check_free, hang
 from ..world.blender.site import open_scenery
 from ..world.scenery import Scenery
 from . import live, operators, panels, properties, session
@@ -350,11 +350,13 @@ class _Hangs(_NeedsFound):
     @operators.one_line_errors
     def execute(self, context):
         """Hang it, and those that were optimised with it, and scan."""
-        lidar, there = session.active_lidar(context.scene), {one.name: one for one in lidars(context.scene)}
+        lidar, there = session.active_lidar(context.scene), {one.name: one for one in session.lidars_of(context.scene)}
         places = found_of(lidar).get("places") or {lidar.name: found_of(lidar)}
         hung = [lidar] if len(places) == 1 else [there.get(name) for name in places]
         if None in hung:
             raise InputError(f"LiDAR {[*places][hung.index(None)]} of the layout is gone or renamed; optimize again")
+        for one in hung:
+            check_free(one)
         for one, of in zip(hung, places.values(), strict=True):
             hang(one, mounting_from(of[self.to], properties.road_of(context.scene)).pose)
         context.view_layer.update()

@@ -142,7 +142,7 @@ class BLENDER_LIDAR_PT_sensor(OfLidar, bpy.types.Panel):
     def draw_for(self, layout, scene, lidar):
         """A list, and pose of the active one."""
         column = layout.column(align=True)
-        for item in session.lidars(scene):
+        for item in session.lidars_of(scene):
             chosen, row = item == lidar, column.row(align=True)
             icon = "RADIOBUT_ON" if chosen else "RADIOBUT_OFF"
             row.operator(

@@ -7,13 +7,16 @@ single precision and angles in radians: `values_of` gives them back as they were
 # Not from __future__ import annotations: Blender reads properties from annotations as they are.
 import json
 import math
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import wraps
 from typing import NamedTuple, get_origin
 
 import bpy
 from bpy.props import (
     BoolProperty,
+    CollectionProperty,
     EnumProperty,
     FloatProperty,
     FloatVectorProperty,
@@ -33,6 +36,7 @@ from ..scene.mounting import COORDINATES, LEANS, Mounting, changed_mounting, hun
 from ..scene.settings import DECLARED, GATE
 from ..sensors.model import model_names
 from ..toml_table import Setting, limits_text
+from ..world.blender import objects
 from ..world.blender.objects import hang, lidars, pose_of
 from ..world.blender.points import STYLES
 
@@ -290,6 +294,12 @@ def _show_frame(group, value):
     session.show_frame(group.id_data, value)
 
 
+class BLENDER_LIDAR_PG_pointer(bpy.types.PropertyGroup):
+    """One of a scene's LiDARs, kept so that no other objects need to be looked at: see `session.lidars_of`."""
+
+    lidar: PointerProperty(type=bpy.types.Object)
+
+
 class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
     """What the sidebar's tab shows of a scene."""
 
@@ -330,7 +340,10 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
         update=_changed("clock"),
         description="Second of the timeline at which the recording begins",
     )
-    active: StringProperty(name="LiDAR", description="The LiDAR that is scanned, scored and optimized")
+    active: PointerProperty(
+        name="LiDAR", type=bpy.types.Object, description="The LiDAR that is scanned, scored and optimized"
+    )
+    lidars: CollectionProperty(type=BLENDER_LIDAR_PG_pointer, options={"HIDDEN"})
     fused: StringProperty(options={"HIDDEN"}, description="What the layout is worth on the frame scanned last, as JSON")
     bake_own: BoolProperty(name="Own Range", description="Bake other frames than those that the scene renders")
     bake_frames: IntVectorProperty(name="Frames", size=2, default=(1, 250), description="First and last frame to bake")
@@ -355,7 +368,7 @@ def _pose_getter(key):
     def get(group):
         try:
             value = mounting_of(group.id_data).as_table()[key] or 0.0  # what does not lean has no direction
-        except InputError:  # mirrored, which the panel says in place of a pose
+        except InputError:  # mirrored or sheared, which the panel says in place of a pose
             return math.nan
         return math.radians(value) if key.endswith("_deg") else value
 
@@ -366,14 +379,37 @@ def _pose_setter(key):
     def put(group, value):
         lidar = group.id_data
         given = {key: exact(value, key)}
-        hang(lidar, changed_mounting(mounting_of(lidar), road_of(scene_of(lidar)), **given).pose)
+        try:
+            hang(lidar, changed_mounting(mounting_of(lidar), road_of(scene_of(lidar)), **given).pose)
+        except InputError as error:
+            tell(scene_of(lidar), str(error))
 
     return put
 
 
 def scene_of(block: bpy.types.Scene | bpy.types.Object) -> bpy.types.Scene | None:
     """A scene itself, or the first one that a LiDAR is in."""
-    return block if isinstance(block, bpy.types.Scene) else next(iter(block.users_scene), None)
+    return block if isinstance(block, bpy.types.Scene) else objects.scene_of(block)
+
+
+def tell(scene: bpy.types.Scene | None, problem: str) -> None:
+    """Say at the top of the tab what is wrong; only what differs is written, as each writing is an update."""
+    if scene is not None and scene.blender_lidar.problem != problem:
+        scene.blender_lidar.problem = problem
+
+
+def guarded(call: Callable) -> Callable:
+    """Let a handler or a timer say at the top of the tab what is wrong, whatever it is, and print nothing."""
+
+    @wraps(call)
+    def safe(*given):
+        try:
+            return call(*given)
+        except Exception as error:
+            scene = given[0] if given and isinstance(given[0], bpy.types.Scene) else bpy.context.scene
+            tell(scene, " ".join(str(error).split()))
+
+    return safe
 
 
 def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None) -> Mounting:
@@ -382,7 +418,7 @@ def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None) -> Mountin
     Raises
     ------
     InputError
-        For a LiDAR that is mirrored, or a road frame that is tilted or scaled.
+        For a LiDAR that is mirrored or sheared, or a road frame that is tilted or scaled.
     """
     road = road_of(scene_of(lidar)) if road is None else road
     tables, pose = kept_of(lidar.blender_lidar).tables, pose_of(lidar)
@@ -428,7 +464,7 @@ def hang_again(scene: bpy.types.Scene) -> None:
     before, now = _map_of(json.loads(scene.blender_lidar.hung_on)), road_of(scene)
     hang_as_they_are(scene)
     for lidar in lidars(scene):
-        if lidar.users_scene[0] == scene:
+        if scene_of(lidar) == scene:
             with suppress(InputError):
                 mounting = mounting_of(lidar, before)
                 there = mounting_from({}, now, mounting)
@@ -436,7 +472,9 @@ def hang_again(scene: bpy.types.Scene) -> None:
                     hang(lidar, there.pose)
 
 
-MODELS = [*((name, name, "") for name in model_names()), (OWN, "Beam table of your own", "A TOML or CSV file")]
+# Numbers are saved, so that they hang on the names: another model does not shift them.
+MODELS = [(name, name, "", zlib.crc32(name.encode()) & 0x7FFFFFFF) for name in model_names()]
+MODELS.append((OWN, "Beam table of your own", "A TOML or CSV file", zlib.crc32(OWN.encode()) & 0x7FFFFFFF))
 
 
 class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
@@ -514,7 +552,13 @@ for _key, _declared in SEARCHABLE.items():
     }
 
 
-classes = (*GROUPS.values(), BLENDER_LIDAR_PG_region, BLENDER_LIDAR_PG_scene, BLENDER_LIDAR_PG_lidar)
+classes = (
+    *GROUPS.values(),
+    BLENDER_LIDAR_PG_region,
+    BLENDER_LIDAR_PG_pointer,
+    BLENDER_LIDAR_PG_scene,
+    BLENDER_LIDAR_PG_lidar,
+)
 
 
 def register() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,7 @@ from ..scene.site import observation_of, read_recordings, scoring_of, standing_s
 from ..sensors.model import model_names
 from ..traffic import Recording, Vehicles, joined_recordings
 from ..traffic.vehicles import SAME_S, no_vehicles
-from ..world.blender.objects import is_lidar, lidars, pose_of
+from ..world.blender.objects import holds, is_lidar, pose_of
 from ..world.blender.road import has_ground, hidden_ground
 from ..world.blender.site import open_scenery
 from . import properties
@@ -69,10 +69,28 @@ def active_lidar(scene: bpy.types.Scene) -> bpy.types.Object | None:
     chosen = layer.objects.active if layer is not None else None
     while chosen is not None and not is_lidar(chosen):  # a child of it, such as its cloud
         chosen = chosen.parent
-    if chosen is not None and chosen.name in scene.objects:
+    if chosen is not None and holds(scene, chosen):
         return chosen
-    named = scene.objects.get(scene.blender_lidar.active)
-    return named if is_lidar(named) else next(iter(lidars(scene)), None)
+    kept = scene.blender_lidar.active
+    return kept if is_lidar(kept) and holds(scene, kept) else next(iter(lidars_of(scene)), None)
+
+
+def lidars_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The LiDARs of a scene, by name, as handlers keep them: those that have left it since are passed over."""
+    kept = {row.lidar for row in scene.blender_lidar.lidars} - {None}
+    return sorted((one for one in kept if is_lidar(one) and holds(scene, one)), key=lambda one: one.name_full)
+
+
+def keep_lidars(scene: bpy.types.Scene, found: Iterable[bpy.types.Object]) -> None:
+    """Keep which LiDARs a scene has, and let go of deleted ones; nothing is written where they are known."""
+    group, found = scene.blender_lidar, set(found)
+    before = {row.lidar for row in group.lidars}
+    if before != found or len(group.lidars) != len(found):
+        group.lidars.clear()
+        for one in found:
+            group.lidars.add().lidar = one
+        group.active = group.active if group.active in found else None
+        bpy.data.batch_remove([one for one in before - found if one is not None and one.users == 0])
 
 
 # --- Settings: a scene file, and the panel's fields as changes to it --------------------------------------------------
@@ -99,7 +117,7 @@ def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None,
 def layout_of(scene: bpy.types.Scene, lidar: bpy.types.Object) -> list[bpy.types.Object]:
     """The LiDARs of the layout that a LiDAR is in, in the order of their file; itself where it is in none."""
     together = (
-        [one for one in lidars(scene) if one.blender_lidar.in_layout] if lidar.blender_lidar.in_layout else [lidar]
+        [one for one in lidars_of(scene) if one.blender_lidar.in_layout] if lidar.blender_lidar.in_layout else [lidar]
     )
     return sorted(together, key=lambda one: one.blender_lidar.number)
 
@@ -513,8 +531,10 @@ def exact_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, scenario: 
 
 
 def store(lidar: bpy.types.Object, vehicles: Vehicles, look: Look, baseline: Look) -> None:
-    """Keep with a LiDAR what the panel says of a scan: its size and score, and the baseline's."""
+    """Keep with a LiDAR, unless it is linked, what the panel says of a scan: its size and score, and the baseline's."""
     group = lidar.blender_lidar
+    if lidar.library is not None:
+        return
     group.points, group.scanned_frame = len(look.cloud), vehicles.frame
     group.scanned_s = since_of(properties.scene_of(lidar))
     group.scanned_at = list(pose_of(lidar).as_table().values())

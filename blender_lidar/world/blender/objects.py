@@ -93,12 +93,13 @@ def _remove(objects: Sequence[bpy.types.Object]) -> None:
 _FRAME_KEY = "blender_lidar_frame"  # custom property of a scene: its road frame, so that no copy is taken for it
 _FRAME_AXES_M = 3.0
 _SAME_AXES = 1e-5
+_SQUARE = 1e-4  # cosine between axes that are square to each other, in single precision
 
 
 def frame_of(scene: bpy.types.Scene | None) -> bpy.types.Object | None:
     """A scene's road frame; None where it has none."""
     frame = None if scene is None else scene.get(_FRAME_KEY)
-    return frame if frame is not None and scene.objects.get(frame.name) == frame else None  # a deleted one is kept
+    return frame if frame is not None and holds(scene, frame) else None  # a deleted one is kept
 
 
 def road_frame(scene: bpy.types.Scene) -> bpy.types.Object:
@@ -118,7 +119,7 @@ def road_frame(scene: bpy.types.Scene) -> bpy.types.Object:
 
 def _is_lost(parent: bpy.types.Object) -> bool:
     """Whether an object is a road frame that was deleted, or that came along with what was appended."""
-    return role(parent) == FRAME and not parent.users_scene
+    return role(parent) == FRAME and scene_of(parent) is None
 
 
 def to_road(scene: bpy.types.Scene | None, depsgraph: bpy.types.Depsgraph | None = None) -> np.ndarray:
@@ -327,14 +328,20 @@ def dress(lidar: bpy.types.Object, lattice: BeamLattice) -> None:
     """Give a LiDAR its head, a fan of its sensor's beams and, on a road, a pole that stays upright and reaches it.
 
     They are its children, in its collections, and take the place of earlier ones.
+
+    Raises
+    ------
+    InputError
+        For a linked LiDAR.
     """
+    check_local(lidar)
     _remove([child for child in lidar.children if role(child) in (PART, FAN)])
     into, half = lidar.users_collection[0], 0.5 * _HEAD_HEIGHT_M
     head = add_object(into, "Head", _cylinder("Head", _HEAD_RADIUS_M, -half, half, plain("Head", HEAD)), PART)
-    fan, frame = add_object(into, "Beam fan", _fan(lattice), FAN), frame_of(_scene_of(lidar))
+    fan, frame = add_object(into, "Beam fan", _fan(lattice), FAN), frame_of(scene_of(lidar))
     for child in (head, fan, *([] if frame is None else [_pole(into, lidar, frame)])):
         child.parent = lidar
-        child.hide_select = True  # who clicks on one means the LiDAR
+        child.lock_location = child.lock_rotation = child.lock_scale = (True, True, True)
     only_for_the_eye(fan)
 
 
@@ -360,12 +367,16 @@ def pose_of(lidar: bpy.types.Object) -> Pose:
     Raises
     ------
     InputError
-        For a LiDAR that is mirrored, or a road frame that is tilted or scaled.
+        For a LiDAR that is mirrored or sheared, or a road frame that is tilted or scaled.
     """
     matrix = matrix_of(lidar)
     place, turn, _ = matrix.decompose()
     if matrix.determinant() < 0.0:
         raise InputError(f"{lidar.name}: is mirrored; allowed: a LiDAR with positive scale")
+    axes = np.array(matrix.to_3x3().normalized())
+    if not np.abs(axes.T @ axes - np.eye(3)).max() < _SQUARE:
+        parent = f" by its parent {lidar.parent.name}" if lidar.parent else ""
+        raise InputError(f"{lidar.name}: is sheared{parent}; allowed: axes square to each other, so apply its scale")
     return Pose(*place, *tilts_of(np.array(turn.to_matrix()).T))  # for rows
 
 
@@ -377,31 +388,89 @@ def matrix_of(lidar: bpy.types.Object) -> Matrix:
     InputError
         For a road frame that is tilted or scaled.
     """
-    scene = _scene_of(lidar)
+    scene = scene_of(lidar)
     into, frame = to_road(scene), frame_of(scene)
     if frame is not None and lidar.parent == frame and not lidar.constraints:  # its world has fewer digits
         return lidar.matrix_parent_inverse @ lidar.matrix_basis
     return Matrix(into @ np.array(_world_of(lidar)))
 
 
-def _scene_of(item: bpy.types.Object) -> bpy.types.Scene | None:
+def scene_of(item: bpy.types.Object) -> bpy.types.Scene | None:
     """The first scene that an object is in."""
-    return next(iter(item.users_scene), None)
+    return next((scene for scene in bpy.data.scenes if holds(scene, item)), None)
 
 
-def orphans(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Heads, poles, fans and clouds whose LiDAR was deleted: who deletes a LiDAR cannot select them."""
-    return [item for item in scene.objects if item.parent is None and item.hide_select and role(item) in _WORN]
+def holds(scene: bpy.types.Scene, item: bpy.types.Object) -> bool:
+    """Whether an object is in a scene: `Object.users_scene` looks at all objects, in Python."""
+    found = scene.objects.get(item.name)
+    return found == item or (found is not None and item in scene.objects[:])  # a linked one may have the same name
 
 
 def remove_orphans(scene: bpy.types.Scene) -> None:
-    """Remove heads, poles, fans and clouds whose LiDAR was deleted."""
-    _remove([item for item in orphans(scene) if item.library is None])
+    """Remove heads, poles, fans and clouds whose LiDAR was deleted; a cloud that was made selectable stays."""
+    worn = [item for item in scene.objects if role(item) in _WORN and item.library is None]
+    alone = [item for item in worn if item.parent is None or scene_of(item.parent) is None]
+    _remove([item for item in alone if item.hide_select or role(item) != CLOUD])
+
+
+def is_local(item: bpy.types.Object) -> bool:
+    """Whether an object is of this file: what is linked from another is read, never written."""
+    return item.library is None
+
+
+def check_local(lidar: bpy.types.Object) -> None:
+    """Refuse a LiDAR that is linked from another file.
+
+    Raises
+    ------
+    InputError
+        By its name and the file's.
+    """
+    if not is_local(lidar):
+        raise InputError(f"{lidar.name}: is linked from {lidar.library.filepath}; allowed: a LiDAR of this file")
+
+
+def check_free(lidar: bpy.types.Object) -> None:
+    """Refuse a LiDAR whose pose something else holds.
+
+    Raises
+    ------
+    InputError
+        Naming a constraint, an animation or a driver, or the file that the LiDAR is linked from.
+    """
+    check_local(lidar)
+    held = [f"its constraint {one.name}" for one in lidar.constraints if not one.mute and one.influence > 0.0]
+    if (moved := lidar.animation_data) is not None:
+        curves = curves_of(moved.action) if moved.action else []
+        held += [f"its animation {moved.action.name}" for one in curves if _is_pose(one)]
+        held += ["a driver" for one in moved.drivers if _is_pose(one)]
+        held += [f"its animation {track.name}" for track in moved.nla_tracks if track.strips and not track.mute]
+    if held:
+        raise InputError(f"{lidar.name}: its pose is held by {held[0]}; allowed: a LiDAR that nothing else moves")
+
+
+def _is_pose(curve):
+    return curve.data_path.startswith(("location", "rotation", "scale", "delta_"))
+
+
+def curves_of(action: bpy.types.Action) -> list[bpy.types.FCurve]:
+    """The curves of an animation."""
+    holders = [action]
+    if not hasattr(action, "fcurves"):  # from Blender 5 on
+        holders = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+    return [curve for holder in holders for curve in holder.fcurves]
 
 
 def hang(lidar: bpy.types.Object, pose: Pose) -> None:
-    """Move a LiDAR to a mounting."""
-    scene = _scene_of(lidar)
+    """Move a LiDAR to a mounting.
+
+    Raises
+    ------
+    InputError
+        Where something else holds its pose.
+    """
+    check_free(lidar)
+    scene = scene_of(lidar)
     if lidar.parent != frame_of(scene):
         lidar.matrix_world = Matrix(np.linalg.inv(to_road(scene))) @ sensor_matrix(pose)
         return

@@ -10,14 +10,17 @@ import numpy as np
 
 from .objects import (
     CLOUD,
+    SENSOR,
     add_attribute,
     add_object,
+    collection,
     made_once,
     matrix_of,
     new_mesh,
     nodes_of,
     only_for_the_eye,
     role,
+    scene_of,
 )
 
 _NAME, _COLOUR, _MATERIAL = "Point cloud", "colour", "LiDAR points"
@@ -85,7 +88,9 @@ def show_cloud(
     item = cloud_of(lidar)
     if item is None:
         mesh = new_mesh(_NAME, np.empty((0, 3)), np.empty((0, 3), dtype=int), [_material(_MATERIAL)])
-        item = add_object(lidar.users_collection[0], _NAME, mesh, CLOUD)
+        local = lidar.library is None
+        into = lidar.users_collection[0] if local else collection(scene_of(lidar), "LiDAR", SENSOR)
+        item = add_object(into, _NAME, mesh, CLOUD)
         item.hide_select = True
         only_for_the_eye(item)
         item.modifiers.new("Look", "NODES")
@@ -114,8 +119,8 @@ def colour_cloud(cloud: bpy.types.Object, name: str) -> None:
 
 
 def cloud_of(lidar: bpy.types.Object) -> bpy.types.Object | None:
-    """The cloud that a LiDAR has measured, None where it has not."""
-    return next((child for child in lidar.children if role(child) == CLOUD), None)
+    """The cloud that a LiDAR has measured, None where it has not; that of another file is not ours to write."""
+    return next((child for child in lidar.children if role(child) == CLOUD and child.library is None), None)
 
 
 def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray]) -> None:

@@ -1,0 +1,50 @@
+"""Migration: .blend files of before, whose names for roles and settings are taken over when they are opened."""
+
+import bpy
+
+from ..world.blender.objects import KEY
+from . import properties, session
+
+_ROLE, _SETTINGS = "blender_lidar", "lidar"  # custom properties then
+# Models in the order that their numbers were in.
+_MODELS = (
+    "HDL-32E HDL-64E-S2 HDL-64E-S3 OS0-128 OS0-32 OS1-128 OS1-32 OS1-64 OS2-128 OS2-32 Pandar128 Pandar40P Pandar64 "
+    "QT64 RS-16 RS-32 RS-80 RS-BPearl RS-Helios-5515 RS-LiDAR-32 RS-Ruby-128 RS-Ruby-80V RS-Ruby-Lite-V2R VLP-16 "
+    f"VLP-32C VLS-128 XT32 {properties.OWN}"
+).split()
+
+
+def take_over() -> None:
+    """Give what a file of before holds its present names; other files stay as they are."""
+    data = bpy.data
+    for blocks in (data.objects, data.collections, data.materials, data.meshes, data.node_groups, data.worlds):
+        for block in blocks:
+            if block.library is None and isinstance(role := block.get(_ROLE), str):
+                del block[_ROLE]
+                block[KEY] = role
+    for lidar in data.objects:
+        if lidar.library is None and KEY in lidar and hasattr(old := lidar.get(_SETTINGS), "to_dict"):
+            with properties.silently():
+                _fill(lidar.blender_lidar, old.to_dict())
+            del lidar[_SETTINGS]
+
+    for scene in data.scenes:
+        old = scene.get(_ROLE) if scene.library is None else None
+        old = old.to_dict() if hasattr(old, "to_dict") else {}
+        if isinstance(old.get("active"), str):
+            scene.blender_lidar.active = scene.objects.get(old["active"])
+        if "frame" in old and old.get("loaded"):  # which was the clock
+            scene.blender_lidar.known_frame = old["frame"]
+            session.start_clock(scene, session.recording_of(scene), old["frame"])
+
+
+def _fill(group, values) -> None:
+    """Set a LiDAR's properties to what was saved of them: enumerations as numbers, in the order of their items."""
+    kinds = group.bl_rna.properties
+    for key, value in values.items():
+        if key not in kinds or key in properties.SEARCHABLE:  # these are read from the transform
+            continue
+        if kinds[key].type == "ENUM":
+            items = _MODELS if key == "name_" else [item.identifier for item in kinds[key].enum_items]
+            value = items[value]
+        setattr(group, key, value)
