@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import bpy
 import numpy as np
 
 import blender_lidar
-from blender_lidar.addon import handlers, live, operators, optimising, properties, session
+from blender_lidar.addon import handlers, live, operators, optimising, properties, session, words
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.deployment import MOUNTING_OR_LEAN
 from blender_lidar.scene.scenario import load_scenario
@@ -175,7 +176,9 @@ def check_every_property_is_as_its_setting_is_declared():
     for name, (group, keys) in groups.items():
         for key, declared in keys.items():
             found, case = group.bl_rna.properties[key], (name, key)
-            assert found.description.lower().startswith(declared.help.lower()), case
+            told = words.TOOLTIPS.get(key, declared.help)
+            assert found.description.lower() == told.lower(), case
+            assert not re.search(r"`|_[a-z]+\b|that file|in place of the scene|unless \w+_", told), (case, told)
             assert found.name, case
             scale = math.radians(1.0) if key.endswith("_deg") else 1.0
             if declared.kind is float:

@@ -51,6 +51,7 @@ LIBRARIES = {
     "numpy": ("",),
     "bpy": ("casting/bvh.py", "world/blender/", "addon/"),
     "bpy_extras": ("addon/",),
+    "bl_operators": ("addon/",),
     "mathutils": ("casting/bvh.py", "world/blender/", "addon/"),
     "gpu": ("addon/",),
     "gpu_extras": ("addon/",),

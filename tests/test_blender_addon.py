@@ -211,7 +211,7 @@ def test_a_run_stays_beside_a_saved_file_and_its_report_opens(tmp_path, monkeypa
     loaded(path)
     lidar = saved_and_opened(tmp_path)
     assert bpy.ops.blender_lidar.optimize() == {"FINISHED"}
-    assert optimising.found_of(lidar)["folder"] == "//saved_runs/LiDAR_1"
+    assert optimising.run_of(lidar) == tmp_path / "saved_runs" / "LiDAR_1"
     assert (tmp_path / "saved_runs" / "LiDAR_1" / "report.html").is_file()
     opened = []
     monkeypatch.setattr("bpy.ops.wm.url_open", lambda url: opened.append(url), raising=False)
@@ -225,12 +225,15 @@ def test_how_long_it_takes_is_said_from_the_searchs_own_rate(tmp_path, monkeypat
     job = optimising.begin(scene, bpy.context.view_layer, lidars(scene)[0])
     try:
         assert job.total == 4 * 2 + math.prod(optimising.POINTS)
-        clock = iter([0.0, 1.0, 3.0, 3.0])
+        clock = iter([0.0, 1.0, 3.0, 3.0, 4.0])
         monkeypatch.setattr(optimising.time, "monotonic", lambda: next(clock))
+        assert job.outlook == "Reading traffic and preparing."
         for done in (10, 20, 40):
-            assert job.left_s is None
             job._hear({"done": done, "best": 1.0})
-        assert job.left_s == pytest.approx((job.total - 40) / 10.0)
+            assert done == 40 or job.outlook == ""
+        assert job.outlook == f"About {(job.total - 40) / 10.0:.0f} s left"
+        job._hear({"done": job.total, "best": 1.0})
+        assert job.outlook.startswith("Judging")  # not "0 s left"
     finally:
         monkeypatch.undo()
         job.stop()

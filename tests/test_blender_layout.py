@@ -261,7 +261,7 @@ def test_what_is_wrong_with_a_lidar_of_a_layout_is_said_by_its_name(tmp_path):
         layout()
     hung["north"].blender_lidar.tilt_x_deg_low = 0.0
     scene.blender_lidar.region.with_gate = True
-    with pytest.raises(RuntimeError, match="Region, Radius: must be given with several LiDARs"):
+    with pytest.raises(RuntimeError, match="Road and File, Radius: must be given with several LiDARs"):
         bpy.ops.blender_lidar.scan()
     scene.blender_lidar.region.with_gate = False
     bpy.data.objects["south"].location.y = 4.0

@@ -27,9 +27,9 @@ from ..world.blender.objects import check_local, frame_of
 from ..world.blender.points import STYLES, cloud_of, colour_cloud, colours_by, colours_of, set_style, show_cloud
 from ..world.blender.preview import VisibleObjects
 from . import properties, session
+from .preferences import preference
 
 classes = ()
-_POINT_SIZE = 3.0  # [pixels]
 _OWN_POINTS = (4, 5)  # from there on a shader for points, as not every GPU interface knows their size otherwise
 _PAUSE_S = 0.005  # Blender handles the next events and redraws in between
 _BOX_ALPHA, _BOX_GAP_M = 0.25, 0.05  # of the faces of vehicles' boxes; how far they stand off
@@ -291,13 +291,13 @@ def _draw() -> None:
     import gpu  # of no use without a window
     from gpu_extras.batch import batch_for_shader
 
-    scene = bpy.context.scene
+    scene, size = bpy.context.scene, float(preference("point_size"))
     if not bpy.context.space_data.overlay.show_overlays:
         return
     scale, frame = scene.unit_settings.scale_length, frame_of(scene)
     shader = gpu.shader.from_builtin(_shader_name())
     gpu.state.depth_test_set("LESS_EQUAL")
-    gpu.state.point_size_set(_POINT_SIZE)
+    gpu.state.point_size_set(size)
     gpu.matrix.push()
     if frame is not None:
         gpu.matrix.multiply_matrix(frame.matrix_world)
@@ -310,7 +310,7 @@ def _draw() -> None:
             shown.batch = batch_for_shader(shader, "POINTS", {"pos": places, "color": shown.colours})
         shader.bind()
         if bpy.app.version >= _OWN_POINTS:
-            shader.uniform_float("size", _POINT_SIZE)
+            shader.uniform_float("size", size)
         shown.batch.draw(shader)
     _draw_boxes(_state.boxes.get(session.uid_of(scene)), scale)
     gpu.matrix.pop()

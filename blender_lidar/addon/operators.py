@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from functools import wraps
+from importlib.util import find_spec
 from pathlib import Path
 
 import bpy
@@ -51,7 +52,9 @@ from ..world.blender.site import is_own, open_scenery
 from ..world.blender.traffic import show_vehicles
 from ..world.scenery import Scenery
 from . import live, properties, session
+from .preferences import preference
 
+_CLOUDS = [name for name in CLOUD_SUFFIXES if name not in (".las", ".laz") or find_spec("laspy")]
 _LEAST_REACH_M = 120.0  # of the road that is shown
 _WITH_FACES = ("MESH", "CURVE", "SURFACE", "META", "FONT")
 _STAND_OFF_M = 30.0  # so large may be what a new LiDAR stands off from
@@ -144,6 +147,32 @@ class BLENDER_LIDAR_OT_load(bpy.types.Operator):
         return _loaded(self, recording)
 
 
+class BLENDER_LIDAR_OT_run_file(bpy.types.Operator):
+    """Let the scene run a Python file, a metric or a search, as it is now and until Blender ends"""
+
+    bl_idname, bl_label = "blender_lidar.run_file", "Run Python File"
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+
+    def invoke(self, context, event):
+        """Ask first."""
+        return context.window_manager.invoke_props_dialog(self, width=500)
+
+    def draw(self, context):
+        """Say what is asked."""
+        self.layout.label(text=self.filepath, icon="FILE_SCRIPT", translate=False)
+        text = "It can do on this computer whatever you can. Run it only if you trust who wrote it."
+        self.layout.label(text=text, icon="ERROR", translate=False)
+
+    @one_line_errors
+    def execute(self, context):
+        """Take it as allowed, and take over what waited for it."""
+        session.trust(Path(self.filepath))
+        for scene in bpy.data.scenes:
+            scene.blender_lidar.problem = ""
+            adopt(scene)
+        return {"FINISHED"}
+
+
 class BLENDER_LIDAR_OT_load_example(bpy.types.Operator):
     """Load the example: synthetic traffic made to resemble I-80, its road, and a LiDAR beside it"""
 
@@ -159,8 +188,9 @@ def _take_over(operator, context, path):
     """Fill the panel with a scene file's settings, show its traffic, and let LiDARs hang there that are not there."""
     scene = context.scene
     session.check_unit(scene)
-    scenario = load_scenario(path)
     tables, folder = read_toml(path), str(path.resolve().parent)
+    session.check_trusted(tables, folder)
+    scenario = load_scenario(path)
     recordings, scenery = read_recordings(scenario), _standing(scenario)
     session.fill_scene(scene, tables, folder, scenario)
     properties.hang_again(scene)
@@ -279,7 +309,11 @@ class BLENDER_LIDAR_OT_add(bpy.types.Operator):
             self.height_m = z
         place = {"x_m": x, "y_m": y, "height_m": properties.exact(self.height_m)}
         lidar = add_lidar(scene, mounting_from(place, properties.road_of(scene)).pose)
-        if self.properties.is_property_set("model"):
+        if not self.properties.is_property_set("model"):
+            self.model = preference("sensor")
+        if scene.blender_lidar.schema == 0 and not scene.blender_lidar.model.is_property_set("caster"):
+            scene.blender_lidar.model.caster = preference("caster")
+        if self.model != "RS-16":
             lidar.blender_lidar.name_ = self.model
         select(context, lidar)
         lidar.blender_lidar.live = self.live
@@ -358,6 +392,7 @@ def _stored(block):
     except (TypeError, ValueError) as error:
         raise InputError(f"{block.name}: its property {SETTINGS} is damaged: {error}") from error
     tables = {name: table for name, table in tables.items() if name in properties.DECLARED}
+    session.check_trusted(tables, "")
     return tables, "", scenario_of(tables, source=f"scene {block.name}")
 
 
@@ -448,7 +483,13 @@ class BLENDER_LIDAR_OT_export_cloud(NeedsLidar, bpy.types.Operator, ExportHelper
     """Write the cloud of the frame that is shown"""
 
     bl_idname, bl_label = "blender_lidar.export_cloud", "Export Cloud"
-    filename_ext: EnumProperty(name="Format", items=[(name, name[1:].upper(), "") for name in CLOUD_SUFFIXES])
+    filename_ext: EnumProperty(
+        name="Format",
+        items=[(name, name[1:].upper(), "") for name in _CLOUDS],
+        default=".ply",
+        description="Of the file",
+    )
+    filter_glob: StringProperty(default=";".join(f"*{name}" for name in _CLOUDS), options={"HIDDEN"})
 
     @one_line_errors
     def execute(self, context):
@@ -512,6 +553,7 @@ class BLENDER_LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator
 
 classes = (
     BLENDER_LIDAR_OT_load,
+    BLENDER_LIDAR_OT_run_file,
     BLENDER_LIDAR_OT_load_example,
     BLENDER_LIDAR_OT_step_frame,
     BLENDER_LIDAR_OT_add,

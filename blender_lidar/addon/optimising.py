@@ -1,7 +1,8 @@
 """Optimise: the command line's own search in a process of its own, while the window stays free.
 
 That process is a Blender where Blender's tree casts, and else a Python with all workers. A modal operator looks how far
-it is, and Escape kills it. The answer is the command line's for the same settings, as it is the same code.
+it is, and the button Cancel kills it; keys are left to Blender. The answer is the command line's for the same settings,
+as it is the same code.
 """
 
 import json
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.app.handlers import persistent
 from bpy.props import BoolProperty
 
 from ..casting import BVH, resolve
@@ -32,17 +34,19 @@ from ..metrics.catalogue import metric_named
 from ..report.summary import judged, measured, percent
 from ..run.folder import RESULT
 from ..run.verdict import POINTS
-from ..scene.mounting import mounting_from
+from ..scene.mounting import ANGLES, LEANS, PLACE, mounting_from
 from ..scene.scenario import Scenario
 from ..scene.settings import DECLARED
 from ..world.blender.objects import check_free, hang
 from ..world.blender.site import open_scenery
 from ..world.scenery import Scenery
 from . import live, operators, panels, properties, session
+from .preferences import runs_folder
 
 _EVERY_S = 0.05  # between two looks at how far it is
 _LEAST_S, _RECENT_S = 2.0, 20.0  # of progress before a rate is shown, and that it is taken over
 _PACKAGE = Path(__file__).resolve().parents[1]
+STOPPED = "stopped"
 _ORDER, _PRINTED = "order.pickle", "printed.txt"
 
 
@@ -152,26 +156,26 @@ class Optimisation:
                 self._recent.popleft()
 
     @property
-    def left_s(self) -> float | None:
-        """How long it still takes at its present rate [s]; None before that is known, and for a layout."""
-        if not self.total or not self._recent or self._recent[-1][0] - self._recent[0][0] < _LEAST_S:
-            return None
-        (since, before), (_, now) = self._recent[0], self._recent[-1]
-        rate = (now - before) / (time.monotonic() - since)
-        return max(self.total - self.done, 0) / rate if rate > 0.0 else None
+    def outlook(self) -> str:
+        """How long the search still takes at its present rate, or what is done before and after it, in words."""
+        if not self._recent:
+            return "Reading traffic and preparing."
+        if self.total and self.done >= self.total:
+            return "Judging on held-out traffic and writing the report."
+        (since, before), (until, now) = self._recent[0], self._recent[-1]
+        if not self.total or until - since < _LEAST_S or now == before:
+            return ""
+        left = (self.total - self.done) * (time.monotonic() - since) / (now - before)
+        return f"About {left:.0f} s left" if left < 90 else f"About {left / 60:.0f} min left"
 
-    def keep(self, name: str) -> str:
-        """Move the run beside the .blend file, where that is saved, so that it stays; returns where it is then."""
-        if bpy.data.filepath:
-            runs = Path(f"{Path(bpy.data.filepath).with_suffix('')}_runs")
-            stem = bpy.path.clean_name(name)
-            number = next(number for number in range(1, 10_000) if not (runs / f"{stem}_{number}").exists())
-            with suppress(OSError):  # such as a folder that is read-only: it stays in the session's
-                runs.mkdir(exist_ok=True)
-                self.folder = Path(shutil.move(self.folder, runs / f"{stem}_{number}"))
-                shutil.rmtree(self._root, ignore_errors=True)
-                return f"//{runs.name}/{stem}_{number}"  # from the file on, so that both can be moved
-        return str(self.folder)
+    def keep(self, name: str) -> dict[str, str]:
+        """Move the run to where runs are kept, if it can; returns where it is and what it is called."""
+        stem, runs = bpy.path.clean_name(name), runs_folder()
+        called = f"{stem}_{self._root.name[-8:]}"  # until the file is saved
+        if runs is not None:
+            called = next(f"{stem}_{n}" for n in range(1, 10_000) if not (runs / f"{stem}_{n}").exists())
+        self.folder = kept_run(self.folder, called)
+        return {"folder": str(self.folder), "run": called}
 
     def wait(self) -> None:
         """Wait until it ends."""
@@ -184,7 +188,7 @@ class Optimisation:
             self._process.kill()
             self._process.wait()
             self._close()
-            self.problem = "stopped"
+            self.problem = STOPPED
         shutil.rmtree(self._root, ignore_errors=True)
 
     def _close(self):
@@ -192,6 +196,38 @@ class Optimisation:
         self._process = None
 
 
+def kept_run(folder: Path, called: str) -> Path:
+    """Move a run from the session's folder to where the open file's runs are kept; where it lies then."""
+    runs, session_s = runs_folder(), Path(bpy.app.tempdir or tempfile.gettempdir()).resolve()
+    if runs is None or session_s not in folder.resolve().parents or not folder.is_dir():
+        return folder
+    with suppress(OSError):  # such as a folder that is read-only: it stays in the session's
+        runs.mkdir(parents=True, exist_ok=True)
+        moved = Path(shutil.move(folder, runs / called))
+        shutil.rmtree(folder.parent, ignore_errors=True)
+        return moved
+    return folder
+
+
+@persistent
+def on_save(*_) -> None:
+    """Move the runs of a file that is saved for the first time beside it."""
+    for lidar in bpy.data.objects if bpy.data.filepath else ():
+        if lidar.blender_lidar.found:
+            kept_run(Path(found_of(lidar)["folder"]), found_of(lidar)["run"])
+
+
+def run_of(lidar: bpy.types.Object) -> Path:
+    """The folder of a LiDAR's last optimization: beside the file, also where both were moved, or where it was written.
+
+    What a file says of it may be older than the file's first saving, or be of another computer.
+    """
+    found, runs = found_of(lidar), runs_folder()
+    beside = runs / found["run"] if runs is not None else None
+    return beside if beside is not None and beside.is_dir() else Path(found["folder"])
+
+
+app_handlers = {"save_post": on_save}
 _jobs: dict[str, Optimisation] = {}  # by LiDAR
 _warming: list[subprocess.Popen] = []
 
@@ -221,7 +257,7 @@ def begin(scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object, *, alone: 
 def keep_result(hung: Sequence[bpy.types.Object], job: Optimisation) -> None:
     """Keep with each LiDAR of a layout what its optimisation has found."""
     found = {"holdout": job.result["holdout"], "lines": result_lines(job.result), "places": {}}
-    found["folder"] = job.keep(hung[0].name if len(hung) == 1 else "layout")
+    found |= job.keep(hung[0].name if len(hung) == 1 else "layout")
     for one, row in zip(hung, job.result["lidars"], strict=True):
         before = properties.mounting_of(one).as_table()
         found["places"][one.name] = {"deployment": row["deployment"], "before": before}
@@ -235,7 +271,7 @@ def found_of(lidar: bpy.types.Object) -> dict[str, Any]:
 
 
 class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
-    """Search the mounting that sees the vehicles best; Escape stops it"""
+    """Search the mounting that sees the vehicles best"""
 
     bl_idname, bl_label, bl_options = "blender_lidar.optimize", "Optimize", {"REGISTER"}
     alone: BoolProperty(description="Search this LiDAR, the others of the layout held as they hang")
@@ -260,7 +296,7 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
         lidar = session.active_lidar(context.scene)
         hung = session.layout_of(context.scene, lidar)
         if busy := next((one for one in hung if job_of(one) is not None), None):
-            raise InputError(f"{busy.name}: is being optimized already; Escape stops it")
+            raise InputError(f"{busy.name}: is being optimized already; Cancel stops it")
         self._job = begin(context.scene, context.view_layer, lidar, alone=self.alone)
         self._hung = [session.uid_of(one) for one in hung]
         _jobs.update(dict.fromkeys(self._hung, self._job))
@@ -271,11 +307,6 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
 
     def modal(self, context, event):
         """Look how far it is."""
-        if event.type == "ESC" and event.value == "PRESS":  # its release may come when another one has begun
-            self._leave(context)
-            self._job.stop()
-            self.report({"INFO"}, "Optimization stopped")
-            return {"CANCELLED"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         before, alive = self._job.done, self._job.is_alive()
@@ -285,6 +316,9 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
         if alive:
             return {"PASS_THROUGH"}
         self._leave(context)
+        if self._job.problem == STOPPED:
+            self.report({"INFO"}, "Optimization canceled")
+            return {"CANCELLED"}
         there = {session.uid_of(item): item for item in bpy.data.objects}
         if not there.keys() >= set(self._hung):
             self._job.stop()
@@ -311,9 +345,25 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
             return {"CANCELLED"}
         keep_result(hung, job)
         bpy.ops.ed.undo_push(message="Optimize LiDAR")
-        folder = found_of(hung[0])["folder"]
-        kept = f"in {folder}" if folder.startswith("//") else "until Blender ends, as this file is not saved"
+        kept = "beside this file once it is saved" if runs_folder() is None else f"in {job.folder}"
         self.report({"INFO"}, f"{found_lines(hung[0])[0]}; its report is kept {kept}")
+        return {"FINISHED"}
+
+
+class BLENDER_LIDAR_OT_cancel(bpy.types.Operator):
+    """Stop the search and leave nothing of it behind"""
+
+    bl_idname, bl_label = "blender_lidar.cancel", "Cancel"
+
+    @classmethod
+    def poll(cls, context):
+        """Whether the active LiDAR is being optimized."""
+        lidar = session.active_lidar(context.scene)
+        return lidar is not None and job_of(lidar) is not None
+
+    def execute(self, context):
+        """Stop it; who looks how far it is finds it so."""
+        job_of(session.active_lidar(context.scene)).stop()
         return {"FINISHED"}
 
 
@@ -382,7 +432,7 @@ class BLENDER_LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
 
     def execute(self, context):
         """Open it."""
-        page = Path(bpy.path.abspath(found_of(session.active_lidar(context.scene))["folder"])) / "report.html"
+        page = run_of(session.active_lidar(context.scene)) / "report.html"
         if not page.is_file():
             self.report({"ERROR"}, f"{page}: is gone; optimize again")
             return {"CANCELLED"}
@@ -393,27 +443,32 @@ class BLENDER_LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
 # --- The panel --------------------------------------------------------------------------------------------------------
 
 
+def _draw_bounds(layout, lidar, keys):
+    """A row for each coordinate that may be searched; those of the other way to say a rotation are grey, with why."""
+    group, column = lidar.blender_lidar, layout.column(align=True)
+    rivals = [key for pair in (ANGLES, LEANS) if not set(pair) & set(keys) for key in pair]
+    rival = next((key for key in rivals if getattr(group, f"{key}_on")), None)
+    column.enabled = job_of(lidar) is None
+    for key in keys:
+        row = column.row(align=True)
+        row.enabled = rival is None or key in PLACE or getattr(group, f"{key}_on")
+        row.use_property_split = False
+        row.prop(group, f"{key}_on", toggle=True, translate=False)
+        if getattr(group, f"{key}_on"):
+            row.prop(group, f"{key}_low", text="", translate=False)
+            row.prop(group, f"{key}_high", text="", translate=False)
+    if rival:
+        panels.say(layout, f"Either tilt and yaw or lean and spin: {properties.label_of(rival)} is on.", icon="INFO")
+
+
 @panels.panel("Optimize", panels.BLENDER_LIDAR_PT_main.__name__, bl_order=5)
 class BLENDER_LIDAR_PT_optimize(panels.OfTraffic, bpy.types.Panel):
     """What is searched, how far it is, and what was found."""
 
     def draw_for(self, layout, scene, lidar):
         """A row for each coordinate, the budget, progress and answer."""
-        group, shared, job = lidar.blender_lidar, scene.blender_lidar, job_of(lidar)
-        column = layout.column(align=True)
-        column.enabled = job is None
-        for key in properties.SEARCHABLE:
-            row = column.row(align=True)
-            row.use_property_split = False
-            row.prop(group, f"{key}_on", toggle=True, translate=False)
-            if getattr(group, f"{key}_on"):
-                row.prop(group, f"{key}_low", text="", translate=False)
-                row.prop(group, f"{key}_high", text="", translate=False)
-        column.prop(group, "poles", translate=False)
-        settings = layout.column()
-        settings.enabled = job is None
-        panels.rows(settings, shared.traffic, "frames", "holdout")
-        panels.rows(settings, shared.search, *properties.TABLES["search"])
+        group, job = lidar.blender_lidar, job_of(lidar)
+        _draw_bounds(layout, lidar, properties.SIX)
         if job is not None:
             total = max(job.done, job.total, 1)  # a last climb may come on top
             text = f"{job.done} of {total} mountings" if job.total else f"{job.done} layouts"
@@ -422,12 +477,8 @@ class BLENDER_LIDAR_PT_optimize(panels.OfTraffic, bpy.types.Panel):
             else:
                 panels.say(layout, text)
             panels.say(layout, "" if job.best is None else f"Best so far {job.best:.2f}")
-            left = job.left_s
-            panels.say(
-                layout,
-                "" if left is None else f"About {left:.0f} s left" if left < 90 else f"About {left / 60:.0f} min left",
-            )
-            panels.say(layout, "Escape stops it.")
+            panels.say(layout, job.outlook)
+            layout.operator("blender_lidar.cancel", icon="X", translate=False)
             return
         together = len(session.layout_of(scene, lidar)) > 1
         for alone in (False, True) if together else (False,):
@@ -444,12 +495,36 @@ class BLENDER_LIDAR_PT_optimize(panels.OfTraffic, bpy.types.Panel):
             layout.operator("blender_lidar.open_report", icon="URL", translate=False)
 
 
+@panels.panel("Lean and Spin", BLENDER_LIDAR_PT_optimize.__name__, bl_options={"DEFAULT_CLOSED"})
+class BLENDER_LIDAR_PT_lean(panels.OfTraffic, bpy.types.Panel):
+    """The other way to say and to search a rotation."""
+
+    def draw_for(self, layout, scene, lidar):
+        """A row for each."""
+        _draw_bounds(layout, lidar, LEANS)
+
+
+@panels.panel("Search Budget", BLENDER_LIDAR_PT_optimize.__name__, bl_options={"DEFAULT_CLOSED"})
+class BLENDER_LIDAR_PT_budget(panels.OfTraffic, bpy.types.Panel):
+    """How much is searched, and on what poles."""
+
+    def draw_for(self, layout, scene, lidar):
+        """Instants, particles, iterations, seed and poles."""
+        layout.enabled = job_of(lidar) is None
+        layout.prop(lidar.blender_lidar, "poles", translate=False)
+        panels.rows(layout, scene.blender_lidar.traffic, "frames", "holdout")
+        panels.rows(layout, scene.blender_lidar.search, *properties.TABLES["search"])
+
+
 classes = (
     BLENDER_LIDAR_OT_optimize,
+    BLENDER_LIDAR_OT_cancel,
     BLENDER_LIDAR_OT_apply,
     BLENDER_LIDAR_OT_revert,
     BLENDER_LIDAR_OT_open_report,
     BLENDER_LIDAR_PT_optimize,
+    BLENDER_LIDAR_PT_lean,
+    BLENDER_LIDAR_PT_budget,
 )
 
 

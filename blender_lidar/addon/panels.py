@@ -10,7 +10,7 @@ import bpy
 from ..errors import BlenderLidarError
 from ..scene.mounting import COORDINATES
 from ..traffic.vehicles import SAME_S
-from ..world.blender.objects import pose_of
+from ..world.blender.objects import CLOUD, pose_of, role
 from ..world.blender.road import hidden_ground
 from . import operators, properties, session
 
@@ -55,7 +55,11 @@ class BLENDER_LIDAR_PT_main(bpy.types.Panel):
     def draw(self, context):
         """Say what is wrong, and what to do first where nothing is loaded."""
         if context.scene.blender_lidar.problem:
-            say(self.layout, context.scene.blender_lidar.problem, icon="ERROR")
+            say(self.layout.box(), context.scene.blender_lidar.problem, icon="ERROR")
+        for path in session.untrusted(context.scene):
+            say(self.layout, f"This scene names {path}, Python code that has not been run.", icon="FILE_SCRIPT")
+            run = self.layout.operator("blender_lidar.run_file", text=f"Run {path.name}", translate=False)
+            run.filepath = str(path)
         if session.active_lidar(context.scene) is None:
             self.layout.operator("blender_lidar.add", text="Add LiDAR", icon="ADD", translate=False)
         if not operators.has_traffic(context):
@@ -82,6 +86,9 @@ class BLENDER_LIDAR_PT_traffic(bpy.types.Panel):
             row.operator("blender_lidar.step_frame", text="", icon="TRIA_RIGHT", translate=False)
             say(layout, session.time_text(context.scene))
             layout.prop(group, "starts_s", translate=False)
+            name = Path(group.traffic.path).name
+            say(layout, f"Vehicles and road come from {name}; they cannot be moved, only left out.", icon="LOCKED")
+            layout.prop(group.traffic, "leave_out", translate=False)
         layout.prop(group.world, "detail", text="Vehicles", translate=False)
         if session.has_road(context.scene):
             layout.prop(group.world, "ground", translate=False)
@@ -154,6 +161,10 @@ class BLENDER_LIDAR_PT_sensor(OfLidar, bpy.types.Panel):
         if lidar.blender_lidar.name_ == properties.OWN:
             layout.prop(lidar.blender_lidar, "table_path", translate=False)
         rows(layout, lidar.blender_lidar, "rotation_hz", "range_gate_m")
+        row = layout.row(align=True)
+        row.menu("BLENDER_LIDAR_MT_presets", text=bpy.types.BLENDER_LIDAR_MT_presets.bl_label, translate=False)
+        row.operator("blender_lidar.add_preset", text="", icon="ADD", translate=False)
+        row.operator("blender_lidar.add_preset", text="", icon="REMOVE", translate=False).remove_active = True
         try:
             place = properties.mounting_of(lidar).as_table()
         except BlenderLidarError as error:
@@ -162,6 +173,17 @@ class BLENDER_LIDAR_PT_sensor(OfLidar, bpy.types.Panel):
         rows(layout, lidar.blender_lidar, *COORDINATES)
         way = "" if place["lean_direction_deg"] is None else f" towards {place['lean_direction_deg']:.0f}°"
         say(layout, f"Lean {place['lean_deg']:.1f}°{way}")
+
+
+@panel("Noise", BLENDER_LIDAR_PT_sensor.__name__, bl_options={"DEFAULT_CLOSED"})
+class BLENDER_LIDAR_PT_noise(OfLidar, bpy.types.Panel):
+    """How imperfect the sensor is."""
+
+    def draw_for(self, layout, scene, lidar):
+        """Its imperfections."""
+        layout.prop(lidar.blender_lidar, "datasheet", translate=False)
+        own = ("range_noise_m", "range_at_10_percent_m") if lidar.blender_lidar.datasheet else ()
+        rows(layout, lidar.blender_lidar, *(key for key in properties.IMPERFECTIONS if key not in own))
 
 
 @panel("Scan", BLENDER_LIDAR_PT_main.__name__)
@@ -179,22 +201,12 @@ class BLENDER_LIDAR_PT_scan(OfLidar, bpy.types.Panel):
         layout.prop(scene.blender_lidar, "label_by", translate=False)
         say(layout, f"Own objects: {'preview' if group.live else 'exact'}", icon="MESH_CUBE")
         if group.scanned_frame < 0:
-            say(layout, "Not scanned yet.")
+            built = any(role(child) == CLOUD for child in lidar.children)
+            say(layout, "The cloud is the file's; Scan scores it." if built else "Not scanned yet.")
         else:
             say(layout, f"{group.points:,} points at {group.scanned_s:.2f} s")
             if is_stale(scene, lidar):
                 say(layout, "Changed since: scan again.", icon="ERROR")
-
-
-@panel("Noise", BLENDER_LIDAR_PT_scan.__name__, bl_options={"DEFAULT_CLOSED"})
-class BLENDER_LIDAR_PT_noise(OfLidar, bpy.types.Panel):
-    """How imperfect the sensor is."""
-
-    def draw_for(self, layout, scene, lidar):
-        """Its imperfections."""
-        layout.prop(lidar.blender_lidar, "datasheet", translate=False)
-        own = ("range_noise_m", "range_at_10_percent_m") if lidar.blender_lidar.datasheet else ()
-        rows(layout, lidar.blender_lidar, *(key for key in properties.IMPERFECTIONS if key not in own))
 
 
 def is_stale(scene: bpy.types.Scene, lidar: bpy.types.Object) -> bool:
@@ -262,6 +274,21 @@ class BLENDER_LIDAR_PT_export(OfLidar, bpy.types.Panel):
         column.operator("wm.save_as_mainfile", text="Copy as .blend", translate=False).copy = True
 
 
+@panel("Advanced", BLENDER_LIDAR_PT_main.__name__, bl_options={"DEFAULT_CLOSED"}, bl_order=10)
+class BLENDER_LIDAR_PT_advanced(OfLidar, bpy.types.Panel):
+    """What casts the rays, and when a vehicle counts as detectable."""
+
+    def draw_for(self, layout, scene, lidar):
+        """Caster, threshold and cell."""
+        layout.prop(scene.blender_lidar.model, "caster", translate=False)
+        rows(layout, scene.blender_lidar.objective, "threshold", "cell_m")
+
+
+def export_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    """File > Export > LiDAR Cloud."""
+    menu.layout.operator("blender_lidar.export_cloud", text="LiDAR Cloud (.ply, .pcd, .npz)", translate=False)
+
+
 def add_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     """Add > LiDAR."""
     menu.layout.operator("blender_lidar.add", icon="LIGHT_SUN", translate=False)
@@ -272,18 +299,21 @@ classes = (
     BLENDER_LIDAR_PT_traffic,
     BLENDER_LIDAR_PT_road,
     BLENDER_LIDAR_PT_sensor,
-    BLENDER_LIDAR_PT_scan,
     BLENDER_LIDAR_PT_noise,
+    BLENDER_LIDAR_PT_scan,
     BLENDER_LIDAR_PT_score,
     BLENDER_LIDAR_PT_export,
+    BLENDER_LIDAR_PT_advanced,
 )
 
 
 def register() -> None:
-    """Put the LiDAR into the Add menu."""
+    """Put the LiDAR into the Add menu, and its cloud into that of exports."""
     bpy.types.VIEW3D_MT_add.append(add_menu)
+    bpy.types.TOPBAR_MT_file_export.append(export_menu)
 
 
 def unregister() -> None:
-    """Take it out again."""
+    """Take them out again."""
     bpy.types.VIEW3D_MT_add.remove(add_menu)
+    bpy.types.TOPBAR_MT_file_export.remove(export_menu)

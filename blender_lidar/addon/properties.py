@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import wraps
-from typing import NamedTuple, get_origin
+from typing import NamedTuple, get_args, get_origin
 
 import bpy
 from bpy.props import (
@@ -34,11 +34,11 @@ from ..road.straight import StraightRoad
 from ..scene.deployment import MOUNTING_OR_LEAN, SEARCHED, facing_deg
 from ..scene.mounting import COORDINATES, LEANS, Mounting, changed_mounting, hung_at, mounting_from
 from ..scene.settings import DECLARED, GATE
-from ..sensors.model import model_names
-from ..toml_table import Setting, limits_text
+from ..toml_table import Setting
 from ..world.blender import objects
 from ..world.blender.objects import hang, lidars, pose_of
 from ..world.blender.points import STYLES
+from . import words
 
 CONTEXT = "blender_lidar"  # of translation: Blender's dictionary has none of it, so that what we draw stays whole
 SCHEMA = 1  # of what is saved in a .blend file
@@ -78,37 +78,33 @@ def silently() -> Iterator[None]:
 # --- A property from a declaration ------------------------------------------------------------------------------------
 
 
-_CALLED = {"path": "File", "name": "Model"}  # what the panel calls otherwise than its key
-
-
 def label_of(key: str) -> str:
     """What the panel calls a setting: ``range_gate_m`` is "Range Gate"; of several, ``x_m, y_m``, "X, Y"."""
     if ", " in key:
         return ", ".join(map(label_of, key.split(", ")))
-    if key in _CALLED:
-        return _CALLED[key]
+    if key in words.CALLED:
+        return words.CALLED[key]
     name, _, unit = key.rpartition("_")
-    words = (name if unit in (*_UNITS, "hz") and name else key).split("_")
-    return " ".join(word if word[:1].isupper() else word.capitalize() for word in words)
+    parts = (name if unit in (*_UNITS, "hz") and name else key).split("_")
+    return " ".join(part if part[:1].isupper() else part.capitalize() for part in parts)
 
 
 def where(table: str, key: str) -> str:
     """What an error calls the panel's field of a setting."""
-    return f"LiDAR panel: {label_of(table)}{f', {label_of(key)}' if key else ''}"
+    panel = "Noise" if key in IMPERFECTIONS else words.PANELS.get(table, label_of(table))
+    return f"LiDAR panel: {panel}{f', {label_of(key)}' if key else ''}"
 
 
 def made_from(key: str, declared: Setting, table: str, **more: object):
     """The Blender property of a setting; `more` replaces what is made of its declaration."""
     kind, unit = declared.kind, key.rpartition("_")[2]
-    limits = limits_text(declared, kind) if kind in (int, float) else ""
-    text = f"{declared.help[:1].upper()}{declared.help[1:]}"
-    text += f" ({limits} {'' if unit not in (*_UNITS, 'hz') else unit})".replace(" )", ")") if limits else ""
+    text = words.TOOLTIPS.get(key, f"{declared.help[:1].upper()}{declared.help[1:]}")
     settings: dict[str, object] = {"name": label_of(key), "description": text, "update": _changed(table)}
     default = declared.default if declared.default not in (None, ...) else None
     if kind is bool:
         return BoolProperty(**settings | {"default": bool(default)} | more)
     if kind is str and declared.allowed:
-        items = [(name, name, "") for name in declared.allowed]
+        items = [(name, name.capitalize(), words.CHOICES.get(name, "")) for name in declared.allowed]
         return EnumProperty(**settings | {"items": items, "default": default} | more)
     if kind is str:
         subtype = _PATH if declared.is_path else {}
@@ -124,8 +120,7 @@ def made_from(key: str, declared: Setting, table: str, **more: object):
         look |= dict(zip(("unit", "subtype"), _UNITS[unit], strict=True))
     if kind is float:
         return FloatProperty(**settings | bounds | look | {"default": scale * float(default or 0.0)} | more)
-    # Of map coordinates single precision would keep metres.
-    return StringProperty(**settings | {"description": f"{text}: two numbers, such as 565432.1, 4184321.9"} | more)
+    return StringProperty(**settings | more)  # numbers; of map coordinates single precision would keep metres
 
 
 def exact(value: float, key: str = "") -> float:
@@ -144,7 +139,7 @@ def values_of(group: bpy.types.PropertyGroup, keys: Mapping[str, Setting]) -> di
             continue
         if get_origin(declared.kind) is tuple:
             with suppress(ValueError):  # what is no pair of numbers is refused as it is
-                value = [float(part) for part in value.split(",")]
+                value = [get_args(declared.kind)[0](part) for part in value.split(",")]
         found[key] = value
     return found
 
@@ -168,6 +163,7 @@ def _chosen(table: str, *keys: str) -> dict[str, Setting]:
 _TRAFFIC = _chosen(
     "traffic", "path", "format", "period", "origin_m", "heading_deg", "time_step_s", "frames", "holdout", "block_s"
 )
+_TRAFFIC |= _chosen("traffic", "leave_out")
 _ROAD = _chosen("road", "station_m", "right_edge_m", "setback_m", "lanes", "lane_width_m")
 _ROAD |= _chosen("road", "grade_percent", "cross_fall_percent", "crown_percent")
 _WORLD = _chosen("world", "detail", "ground", "variety", "variety_seed")
@@ -310,10 +306,13 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
     kept: StringProperty(default="", options={"HIDDEN"}, description="The scene file's own tables, as JSON")
     metric: EnumProperty(
         name="Objective",
-        items=[*((name, name, "") for name in METRIC_NAMES), (OWN, "The scene file's own", "")],
+        items=[
+            *words.METRIC_ITEMS,
+            (OWN, "The Scene File's Own", "A metric from a Python file that the scene file names"),
+        ],
         default=METRIC_NAMES[0],
         update=_changed("objective"),
-        description=DECLARED["objective"]["metric"].help,
+        description="What Score shows and Optimize raises, summed over the vehicles",
     )
     frame: IntProperty(
         name="Instant",
@@ -473,8 +472,8 @@ def hang_again(scene: bpy.types.Scene) -> None:
 
 
 # Numbers are saved, so that they hang on the names: another model does not shift them.
-MODELS = [(name, name, "", zlib.crc32(name.encode()) & 0x7FFFFFFF) for name in model_names()]
-MODELS.append((OWN, "Beam table of your own", "A TOML or CSV file", zlib.crc32(OWN.encode()) & 0x7FFFFFFF))
+MODELS = [*words.SENSORS, (OWN, "Beam Table of Your Own", "A TOML or CSV file")]
+MODELS = [(name, *shown, zlib.crc32(name.encode()) & 0x7FFFFFFF) for name, *shown in MODELS]
 
 
 class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
@@ -487,7 +486,7 @@ class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
         items=MODELS,
         default="RS-16",
         update=_changed("sensor"),
-        description=DECLARED["sensor"]["name"].help,
+        description="Which LiDAR it is: each has the beams of its data sheet or of a calibrated unit",
     )
     table_path: StringProperty(
         name="Beam Table", update=_changed("sensor"), description="Beam table of your own", **_PATH

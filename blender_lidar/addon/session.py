@@ -21,12 +21,14 @@ from ..casting import resolve
 from ..casting.protocol import StandingScenery
 from ..clouds.live import DRAG_M, FusedScores, LiveFrame, Look
 from ..errors import InputError
+from ..files import read_file
 from ..names import METRIC_NAMES
+from ..plugins import is_plugin, located, plugin_file
 from ..scene.lidars import OF_ANY_MODEL
 from ..scene.mounting import ANGLES, LEANS, MOUNTED, PLACE, Mounting, mounting_from
 from ..scene.observation import CountedFrame, of_scored_class, vehicle_weights
 from ..scene.region import region_of
-from ..scene.scenario import Scenario, scenario_of
+from ..scene.scenario import Scenario, scenario_of, shipped_scenes
 from ..scene.settings import DATASHEET, GATE, SensorSettings, is_sensor_file
 from ..scene.site import observation_of, read_recordings, scoring_of, standing_scenery
 from ..sensors.model import model_names
@@ -42,6 +44,8 @@ _SAME_M, _SAME_ROTATION = 2e-4, 1e-5  # nearer, a LiDAR hangs as it was hung
 _RECORDINGS: dict[str, tuple[str, list[Recording], Recording]] = {}  # by scene: what they were read with, and as one
 _OBJECTS: dict[str, tuple[tuple[str, str], StandingScenery]] = {}  # by scene: the user's own
 _FRAMES: dict[str, tuple[str, str, Mounting, LiveFrame]] = {}  # by LiDAR: what and where it was made for
+_TRUSTED: set[tuple[Path, bytes]] = set()  # Python files with their content, in this session
+_REFUSED: list[Path] = []  # the one that was refused last
 _FUSED: dict[str, tuple[list[LiveFrame], FusedScores | None]] = {}  # by scene: of the LiDARs that hang together
 
 
@@ -101,11 +105,52 @@ def fields_of(scene: bpy.types.Scene) -> dict[str, dict[str, object]]:
     group = scene.blender_lidar
     tables = {name: properties.values_of(getattr(group, name), keys) for name, keys in properties.TABLES.items()}
     path = str(tables["traffic"].get("path", "")) or ("" if group.loaded else NO_TRAFFIC)
-    tables["traffic"]["path"] = bpy.path.abspath(path)
+    tables["traffic"]["path"] = _shipped(bpy.path.abspath(path))
     if group.metric in METRIC_NAMES:
         tables["objective"]["metric"] = group.metric
     tables["region"] = group.region.table()
     return tables
+
+
+def _shipped(path: str) -> str:
+    """A path, in the scenes of this add-on where it was one in an older add-on's that is gone."""
+    there, here = Path(path), shipped_scenes()["i80"].parent
+    gone = path and not there.exists()
+    if gone and there.name == here.name:
+        return str(here)
+    if gone and there.parent.name == here.name and (here / there.name).exists():
+        return str(here / there.name)
+    return path
+
+
+def python_files(tables: object, folder: str) -> list[Path]:
+    """The Python files that a scene's tables name as metric or search, FILE.py:NAME."""
+    if is_plugin(tables):
+        return [plugin_file(located(str(tables), Path(folder)))]
+    parts = tables.values() if isinstance(tables, Mapping) else tables if isinstance(tables, list | tuple) else ()
+    return [path for part in parts for path in python_files(part, folder)]
+
+
+def trust(path: Path) -> None:
+    """Let a Python file run, as it is now, until Blender ends."""
+    _TRUSTED.add((path, read_file(path)))
+
+
+def untrusted(scene: bpy.types.Scene) -> list[Path]:
+    """The Python files that a scene, or the scene file that was refused last, would run and that nobody has allowed."""
+    kept = properties.kept_of(scene.blender_lidar)
+    files = dict.fromkeys([*python_files(kept.tables, kept.folder), *_REFUSED])
+    return [path for path in files if path.is_file() and (path, path.read_bytes()) not in _TRUSTED]
+
+
+def check_trusted(tables: Mapping[str, Any], folder: str) -> None:
+    """Refuse tables that name a Python file that nobody has allowed to run."""
+    for path in python_files(tables, folder):
+        if path.is_file() and (path, path.read_bytes()) not in _TRUSTED:
+            _REFUSED[:] = [path]
+            raise InputError(
+                f"{path}: is Python code that the scene runs; allowed after Run {path.name} in the LiDAR tab"
+            )
 
 
 def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None, *, here: bool = True) -> Scenario:
@@ -168,10 +213,14 @@ def layout_scenario(
         tables["deployment"] = {"x_m": 0.0, "y_m": 0.0}  # a map has no place of its own for a mast that is not there
     if named or any(baselines):  # its own is in force
         changes = {place: change for place, change in changes.items() if place[0] != "baseline"}
+    own_metric = {} if ("objective", "metric") in changes else tables.get("objective", {})
+    check_trusted({**tables, "objective": own_metric}, kept.folder)
     if here:
         changes["model", "workers"] = 1, "the add-on"
     where = partial(_where, scene.blender_lidar.source if kept.tables else "", [one.name for one in hung])
-    made = partial(scenario_of, where=where, source=f"scene {scene.name}", folder=Path(kept.folder), overrides=changes)
+    made = partial(
+        scenario_of, where=where, source=f"scene {scene.name}", folder=Path(_shipped(kept.folder)), overrides=changes
+    )
     tables |= {"lidar": entries} if named else {"deployment": entries[0]} if hung else {}
     scenario, moved = made(tables), False
     for one, entry, of in zip(hung, entries, scenario.lidars, strict=False):

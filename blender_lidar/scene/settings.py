@@ -83,6 +83,8 @@ class TrafficSettings:
         SUMO's route or additional file, whose <vType>s give the vehicles' sizes; several as a list.
     lanes : tuple of int or None
         Lanes whose vehicles are read, numbered as in the recording (SUMO's from 1, the rightmost); by default all.
+    leave_out : tuple of int or None
+        Vehicles that are left out, by their numbers in the recording: they are neither scanned nor counted.
     frames : int or None
         Number of searched frames, spread evenly; 30 unless frame_ids or spacing_s is given.
     frame_ids : tuple of int or None
@@ -113,6 +115,7 @@ class TrafficSettings:
     time_step_s: float | None = setting(None, above=0.0)
     vehicle_types: tuple[str, ...] | None = setting(None, is_path=True, option="--vehicle-types")
     lanes: tuple[int, ...] | None = setting(None)
+    leave_out: tuple[int, ...] | None = setting(None)
     frames: int | None = setting(None, low=1, option="--frames", rivals=("frame_ids",))
     frame_ids: tuple[int, ...] | None = setting(
         None, option="--frame-ids", rivals=("frames", "spacing_s"), metavar="IDS"

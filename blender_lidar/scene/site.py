@@ -464,6 +464,13 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
             present = ", ".join(map(str, np.unique(recording.lane)))
             raise InputError(f"{recording.source}: no vehicle in lanes {list(settings.lanes)}; its lanes are {present}")
         recording = recording.where(in_lanes)
+    if settings.leave_out is not None:
+        unknown = np.setdiff1d(settings.leave_out, recording.vehicle_id)
+        if len(unknown):
+            raise InputError(
+                f"{scenario.where('traffic', 'leave_out')}: {recording.source} has no vehicle {unknown[0]}"
+            )
+        recording = recording.where(~np.isin(recording.vehicle_id, settings.leave_out))
     return _on_surface(checked_recording(recording, scenario), scenario.road_map)
 
 
