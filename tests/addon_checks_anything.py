@@ -178,3 +178,39 @@ def check_the_ground_returns_where_it_is_shown():
     bpy.data.objects.remove(parts["Surface"])
     assert not on_ground(scanned()).any()
     assert math.isclose(lidar.blender_lidar.height_m, 4.0)
+
+
+def check_coverage_is_what_brute_force_finds_of_each_and_of_all_on_a_parent_that_moves():
+    scene = default_scene()
+    tug, cube = bpy.data.objects.new("Tug", None), scene.objects["Cube"]
+    scene.collection.objects.link(tug)
+    tug.keyframe_insert("location", frame=1)
+    tug.location.x = 100.0
+    tug.keyframe_insert("location", frame=11)
+    scene.frame_set(1)
+    cube.scale = (0.99, 0.99, 0.99)
+    for side in (-1.0, 1.0):  # one sees the face at -y, the other that at +y
+        scene.cursor.location = (0.0, side * 3.0, 0.0)
+        assert bpy.ops.blender_lidar.add() == {"FINISHED"}
+        bpy.context.object.parent = tug
+    assert "no object with faces is selected" in refused(bpy.ops.blender_lidar.coverage)
+    choose(cube)
+    assert bpy.ops.blender_lidar.coverage(edge_m=0.25) == {"FINISHED"}
+    told = json.loads(scene.blender_lidar.covered)
+    (_, points, _, first), (_, _, _, second), (name, both, cells, share) = told["rows"]
+    assert (name, both) == ("All", 2 * points)
+    assert abs(first - second) < 0.02
+    assert math.isclose(share, first + second, abs_tol=0.02)
+    assert 0.1 < first < 1 / 6 + 0.02
+    lines = bpy.data.texts["LiDAR coverage.csv"].as_string().strip().split("\n")
+    assert lines[0] == "lidar,points,cells,share"
+    assert lines[-1].split(",")[:3] == ["All", str(both), str(cells)]
+    one = lidars(scene)[0]
+    choose(one)
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    hit = {tuple(cell) for cell in np.floor(vertices(cloud_of(one)) / 0.25 + 0.01).astype(int).tolist()}
+    assert len(hit) == told["rows"][0][2]
+    scene.frame_set(11)
+    choose(cube)
+    assert bpy.ops.blender_lidar.coverage() == {"FINISHED"}
+    assert [row[1] for row in json.loads(scene.blender_lidar.covered)["rows"]] == [0, 0, 0]

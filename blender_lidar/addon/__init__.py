@@ -10,7 +10,7 @@ import inspect
 
 import bpy
 
-_MODULES = ("properties", "preferences", "operators", "panels", "optimising", "handlers", "live", "baking")
+_MODULES = ("properties", "preferences", "operators", "panels", "coverage", "optimising", "handlers", "live", "baking")
 _registered = []
 
 

@@ -38,6 +38,7 @@ from ..toml_table import Setting
 from ..world.blender import objects
 from ..world.blender.objects import hang, lidars, pose_of
 from ..world.blender.points import STYLES
+from ..world.blender.site import LABELS_BY
 from . import words
 
 CONTEXT = "blender_lidar"  # of translation: Blender's dictionary has none of it, so that what we draw stays whole
@@ -322,15 +323,11 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
     )
     label_by: EnumProperty(
         name="Label By",
-        items=[
-            ("object", "Object", "The object's name"),
-            ("collection", "Collection", "The first collection that the object is in"),
-            ("pass_index", "Pass Index", "The object's pass index"),
-            ("material", "Material", "The material of the face"),
-        ],
+        items=[(key, key.replace("_", " ").title(), f"Its {key.replace('_', ' ')}") for key in LABELS_BY],
         update=_changed("labels"),
-        description="What labels the points on your own objects",
+        description="What of your own objects labels the points on them",
     )
+    covered: StringProperty(options={"HIDDEN"}, description="Which share of chosen objects LiDARs saw, as JSON")
     known_frame: IntProperty(options={"HIDDEN"}, description="The same when the traffic was last looked at")
     starts_s: FloatProperty(
         name="Starts At",

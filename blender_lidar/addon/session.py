@@ -35,7 +35,7 @@ from ..sensors.model import model_names
 from ..traffic import Recording, Vehicles, joined_recordings
 from ..traffic.vehicles import SAME_S, no_vehicles
 from ..world.blender.objects import holds, is_lidar, pose_of
-from ..world.blender.road import has_ground, hidden_ground
+from ..world.blender.road import ground_of, hidden_ground
 from ..world.blender.site import open_scenery
 from . import properties
 
@@ -64,7 +64,7 @@ def view_layer_of(scene: bpy.types.Scene) -> bpy.types.ViewLayer:
 
 def has_road(scene: bpy.types.Scene) -> bool:
     """Whether LiDARs hang beside a road: traffic is loaded, or a road stands there as in a file of `build`."""
-    return scene.blender_lidar.loaded or has_ground(scene)
+    return scene.blender_lidar.loaded or ground_of(scene) is not None
 
 
 def active_lidar(scene: bpy.types.Scene) -> bpy.types.Object | None:
@@ -190,12 +190,10 @@ def layout_scenario(
     check_unit(scene)
     kept = properties.kept_of(scene.blender_lidar)
     tables, changes = dict(kept.tables), properties.changed(kept, fields_of(scene))
-    if not has_road(scene):  # nothing is asked of where they hang
-        entries = [{"x_m": 0.0, "y_m": 0.0} for _ in hung]
-    else:
-        entries = [deployment_table(one, held=one in held) for one in hung]
+    free = {"x_m": 0.0, "y_m": 0.0}  # without a road nothing is asked of where they hang
+    entries = [deployment_table(one, held=one in held) if has_road(scene) else dict(free) for one in hung]
     named = any(one.blender_lidar.in_layout for one in hung)
-    if not has_ground(scene) or hidden_ground(scene, view_layer_of(scene)):
+    if ground_of(scene) is None or hidden_ground(scene, view_layer_of(scene)):
         changes["world", "ground"] = False, "what the scene shows"
     baselines = [json.loads(one.blender_lidar.baseline or "{}") for one in hung]
     baselines = [{key: table[key] for key in MOUNTED if key in table} for table in baselines]

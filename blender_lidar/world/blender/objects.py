@@ -12,7 +12,7 @@ from mathutils import Euler, Matrix
 from ...errors import InputError
 from ...sensors.beams import BeamLattice, beam_directions
 from ...sensors.pose import Pose, tilts_of
-from ..meshes import GLASS, PAINT, REFLECTIVITY, STRUCTURE, tube
+from ..meshes import GLASS, PAINT, STRUCTURE, tube
 from ..scenery import Scenery
 
 # --- What an object of ours stands for, kept in a custom property, so that a scene can be read back and shown again -
@@ -269,14 +269,6 @@ def glass() -> bpy.types.Material:
     return plain("Glass", GLASS_COLOUR, GLASS, 0.05)
 
 
-def _material_of(surface: int) -> bpy.types.Material:
-    """A material for a surface: an index into `meshes.REFLECTIVITY`."""
-    if surface == GLASS:
-        return glass()
-    grey = float(REFLECTIVITY[surface])
-    return plain("Structure", CONCRETE) if surface == STRUCTURE else plain(f"Grey {grey:g}", (grey,) * 3, surface)
-
-
 # --- What stands beside the road ------------------------------------------------------------------------------------
 
 
@@ -286,6 +278,7 @@ def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
     clear(into)
     if scenery is None or not len(scenery := scenery.beside_road):
         return
+    materials = [plain("Structure", CONCRETE), glass()]
     order = np.argsort(scenery.owner, kind="stable")
     owners, starts = np.unique(scenery.owner[order], return_index=True)
     for row, own in zip(owners.tolist(), np.split(order, starts[1:]), strict=True):
@@ -293,8 +286,7 @@ def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
         corners = scenery.corners[own]
         middle = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))  # float32 is finest about an object
         vertices, faces = np.unique((corners - middle).reshape(-1, 3), axis=0, return_inverse=True)
-        kinds, slots = np.unique(scenery.surface[own], return_inverse=True)
-        mesh = new_mesh(name, vertices, faces.reshape(-1, 3), list(map(_material_of, kinds.tolist())), slots)
+        mesh = new_mesh(name, vertices, faces.reshape(-1, 3), materials, scenery.surface[own] == GLASS)
         add_object(into, name, mesh, parent=frame_of(scene)).location = middle
 
 

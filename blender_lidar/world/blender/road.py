@@ -52,37 +52,26 @@ def build_road(scene: bpy.types.Scene, road: RoadMap, xy: Sequence[float], reach
     into[_PART] = ", ".join(name for name in parts if name != "Lane lines")
 
 
-def _ground(scene: bpy.types.Scene) -> bpy.types.Collection | None:
+def ground_of(scene: bpy.types.Scene) -> bpy.types.Collection | None:
     """The collection of a scene's road where one has been built."""
     found = (one for one in scene.collection.children_recursive if role(one) == ROAD_ROLE and one.get(_PART))
     return next(found, None)
 
 
-def has_ground(scene: bpy.types.Scene) -> bool:
-    """Whether a road has been built in a scene."""
-    return _ground(scene) is not None
-
-
 def hidden_ground(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[str]:
     """The parts of a scene's ground, such as Surface and Verge, that a view layer or renders hide, or that are gone."""
-    into = _ground(scene)
-    if into is None:
-        return []
-    shown = {item[_PART] for item in into.objects if _PART in item and _is_shown(item, layer) and not into.hide_render}
-    return [name for name in into[_PART].split(", ") if name not in shown]
-
-
-def _is_shown(item: bpy.types.Object, layer: bpy.types.ViewLayer) -> bool:
-    return not item.hide_render and not item.hide_viewport and item.visible_get(view_layer=layer)
+    into, shown = ground_of(scene), set()
+    for item in into.objects if into and not into.hide_render else ():
+        if not item.hide_render and not item.hide_viewport and item.visible_get(view_layer=layer):
+            shown.add(item.get(_PART))
+    return [name for name in into[_PART].split(", ") if name not in shown] if into else []
 
 
 def show_ground(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, *, shown: bool) -> None:
     """Hide a scene's ground with its markings in view and renders, or show it where all of it is hidden."""
-    into = _ground(scene)
-    if into is None or (shown and len(hidden_ground(scene, layer)) < len(into[_PART].split(", "))):
-        return
-    for item in into.objects:
-        if _PART in item:
+    into = ground_of(scene)
+    if into and not (shown and len(hidden_ground(scene, layer)) < len(into[_PART].split(", "))):
+        for item in (one for one in into.objects if _PART in one):
             item.hide_viewport = item.hide_render = not shown
             if shown and item.name in layer.objects:
                 item.hide_set(False, view_layer=layer)

@@ -264,10 +264,10 @@ LABELS_BY = {"object": "objects", "collection": "collections", "pass_index": "ob
 
 
 class Labels:
-    """Labels (semantic classes) of the user's own objects, `by` one of `LABELS_BY`, the scene's `label_by`
-    unless said: a number and a name for each.
+    """Labels (semantic classes) of the user's own objects: numbers with names, `by` one of `LABELS_BY` or as the scene
+    says.
 
-    Names are numbered in alphabetical order, over all that the file has, so that a number stays when others are hidden;
+    Names are numbered in alphabetical order over all that the file has, so that a number stays when others are hidden;
     the pass index is its own number. Objects in several collections have the first, those in none but the scene's none.
     """
 
@@ -277,29 +277,25 @@ class Labels:
         self._names = sorted({block.name for block in blocks})
         self._number, self._within = {name: number for number, name in enumerate(self._names)}, {}
         for block in blocks if self._by == "collection" else ():
-            for item in block.objects:
-                self._within.setdefault(item.as_pointer(), self._number[block.name])
+            self._within = {item.as_pointer(): block.name for item in block.objects} | self._within
 
     def of(self, item: bpy.types.Object) -> int:
         """The number of an evaluated object or instance; -1 where it has none, or its faces may have several."""
-        if not is_own(item):
-            return NO_LABEL
-        if self._by == "pass_index":
+        if self._by == "pass_index" and is_own(item):
             return item.pass_index
-        if self._by == "collection":
-            return self._within.get(item.original.as_pointer(), NO_LABEL)
-        return self._number.get(item.name, NO_LABEL) if self._by == "object" else NO_LABEL
+        name = {"object": item.name, "collection": self._within.get(item.original.as_pointer())}.get(self._by)
+        return self._number.get(name, NO_LABEL)
 
     def of_faces(self, mesh: bpy.types.Mesh, parts: bpy.types.bpy_prop_collection) -> np.ndarray | None:
         """The numbers (m,) of an evaluated mesh's polygons or triangles; None where the object's is that of all."""
         if self._by != "material":
             return None
-        return _by_slot(parts, [self._number.get(one.name, -1) if one else -1 for one in mesh.materials] or [NO_LABEL])
+        return _by_slot(parts, [self._number.get(one and one.name, NO_LABEL) for one in mesh.materials] or [NO_LABEL])
 
     def names(self, label: np.ndarray) -> dict[int, str]:
         """The names of the numbers among some."""
-        found = [number for number in np.unique(label).tolist() if number != NO_LABEL]
-        return {number: str(number) if self._by == "pass_index" else self._names[number] for number in found}
+        names = str if self._by == "pass_index" else self._names.__getitem__
+        return {number: names(number) for number in np.unique(label).tolist() if number != NO_LABEL}
 
 
 # --- Sites of the user's own: .blend and mesh files, read as scenery --------------------------------------
