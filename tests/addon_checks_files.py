@@ -7,10 +7,11 @@ import math
 import bpy
 import numpy as np
 
+import blender_lidar
 from blender_lidar.addon import handlers, properties, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.world.blender.objects import CLOUD, PART, VEHICLE, hang, lidars, role
+from blender_lidar.world.blender.objects import CLOUD, KEY, PART, VEHICLE, hang, lidars, role
 from blender_lidar.world.blender.points import STYLES, cloud_of, colours_by, set_look, show_cloud
 from tests.addon_sample import (
     FOLDER,
@@ -108,6 +109,92 @@ def check_a_bake_is_what_scan_finds_on_each_frame_and_shows_again_in_the_file_th
         np.testing.assert_allclose(evaluated(cloud_of(lidars(scene)[0])), expected[frame - 1], atol=1e-5)
     scene.frame_set(4)
     assert len(vertices(cloud_of(lidars(scene)[0]))) == 0
+
+
+def check_a_renamed_lidar_stays_the_chosen_one():
+    scene, first = loaded()
+    assert bpy.ops.blender_lidar.add() == {"FINISHED"}
+    second = session.active_lidar(scene)
+    second.name = "Nord"
+    bpy.context.view_layer.objects.active = None
+    assert session.active_lidar(scene) == second
+    assert session.lidars_of(scene) == [first, second]
+
+
+def check_a_linked_lidar_is_scanned_and_never_written():
+    lidar = loaded()[1]
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    points, path = lidar.blender_lidar.points, str(FOLDER / "library.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    scene = new_file()
+    with bpy.data.libraries.load(path, link=True) as (there, here):
+        here.collections = [name for name in there.collections if name == "LiDAR"]
+    scene.collection.children.link(here.collections[0])
+    scene.blender_lidar.traffic.path = str(example())
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}  # which adds one of this file
+    linked = next(one for one in lidars(scene) if one.library)
+    handlers.adopt_all()
+    assert linked in session.lidars_of(scene)
+    before, count = (fields(linked.blender_lidar), np.array(linked.matrix_world).tolist()), len(bpy.data.objects)
+    choose(linked)
+    scene.blender_lidar.frame = FRAME
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    cloud = cloud_of(linked)
+    assert cloud.library is None
+    assert len(vertices(cloud)) == points
+    linked.blender_lidar.height_m = 8.0
+    assert f"{linked.name}: is linked from" in scene.blender_lidar.problem
+    for _ in range(3):  # no handler makes anything of it
+        linked.select_set(True)
+        bpy.context.view_layer.update()
+        handlers.adopt_all()
+    assert (fields(linked.blender_lidar), np.array(linked.matrix_world).tolist()) == before
+    assert len(bpy.data.objects) == count + 1
+    assert cloud.name in scene.objects
+
+
+def check_a_lidar_that_cannot_be_completed_is_tried_once():
+    scene, lidar = loaded()
+    lidar.blender_lidar.name_, lidar.blender_lidar.table_path = "own", "//nowhere.toml"
+    choose(lidar)
+    bpy.ops.object.duplicate()
+    bpy.context.view_layer.update()
+    handlers.adopt_all()
+    assert "nowhere.toml: there is no such file" in scene.blender_lidar.problem
+    told = []
+    bpy.app.handlers.depsgraph_update_post.append(told.append)
+    try:
+        for _ in range(3):
+            handlers.on_update(scene, bpy.context.evaluated_depsgraph_get())
+            handlers.adopt_all()
+            bpy.context.view_layer.update()
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(told.append)
+    assert not told, "what failed is an update again"
+    assert len(lidars(scene)) == 2
+
+
+def check_files_of_before_are_taken_over():
+    lidar = loaded()[1]
+    place = coordinates_of(lidar)
+    blender_lidar.unregister()
+    for block in (*bpy.data.objects, *bpy.data.collections, *bpy.data.materials, *bpy.data.meshes):
+        if KEY in block:
+            kind = block[KEY]
+            for key in {KEY, "blender_lidar"} & set(block.keys()):
+                del block[key]
+            block["blender_lidar"] = kind
+    lidar["lidar"] = {"schema": 1, "name_": 23, "colour_by": 1, "range_gate_m": 42.0, "live": 0, "points": 7}
+    path = str(FOLDER / "before.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    blender_lidar.register()
+    bpy.ops.wm.open_mainfile(filepath=path)
+    (lidar,) = lidars(bpy.context.scene)
+    assert session.lidars_of(bpy.context.scene) == [lidar]
+    group = lidar.blender_lidar
+    assert (group.name_, group.colour_by, group.range_gate_m, group.points) == ("VLP-16", "ring", 42.0, 7)
+    assert "lidar" not in lidar
+    assert coordinates_of(lidar) == place
 
 
 def check_what_a_deleted_lidar_wore_goes_with_it():

@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import bpy
 import numpy as np
 
-from blender_lidar.addon import properties, session
+from blender_lidar.addon import operators, properties, session
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.world.blender.objects import CLOUD, PART, hang, lidars, pose_of, role
+from blender_lidar.world.blender.objects import CLOUD, FAN, PART, hang, lidars, pose_of, role
 from blender_lidar.world.blender.points import cloud_of
 from tests.addon_sample import (
     FOLDER,
     POSE,
     axes,
+    choose,
     coordinates_of,
     evaluated,
     loaded,
     part,
+    refused,
     vertices,
 )
 from tests.small_scene import mounting
@@ -127,6 +130,72 @@ def check_any_way_to_turn_a_lidar_is_read_and_set():
     np.testing.assert_allclose(pose_of(lidar).position, target.location, atol=1e-4)
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     np.testing.assert_allclose(evaluated(cloud_of(lidar)), vertices(cloud_of(lidar)), atol=1e-4)
+
+
+def check_what_else_holds_a_pose_is_named_and_nothing_changes():
+    scene, lidar = loaded()
+    found = {"places": {lidar.name: {"deployment": POSE | {"x_m": 7.0}, "before": POSE}}, "lines": [], "holdout": None}
+    lidar.blender_lidar.found = json.dumps(found)
+    target = bpy.data.objects.new("Target", None)
+    scene.collection.objects.link(target)
+
+    def constrained():
+        lidar.constraints.new("TRACK_TO").target = target
+        return "Track To", lambda: lidar.constraints.clear()
+
+    def animated():
+        lidar.keyframe_insert("location", frame=1)
+        return lidar.animation_data.action.name, lidar.animation_data_clear
+
+    def driven():
+        lidar.driver_add("rotation_euler", 0)
+        return "driver", lidar.animation_data_clear
+
+    for hold in (constrained, animated, driven):
+        held, let_go = hold()
+        bpy.context.view_layer.update()
+        before = np.array(lidar.matrix_world)
+        assert held in refused(bpy.ops.blender_lidar.apply)
+        assert held in refused(bpy.ops.blender_lidar.revert)
+        lidar.blender_lidar.height_m = 9.0
+        assert held in scene.blender_lidar.problem, (held, scene.blender_lidar.problem)
+        bpy.context.view_layer.update()
+        np.testing.assert_array_equal(np.array(lidar.matrix_world), before, err_msg=held)
+        let_go()
+    assert bpy.ops.blender_lidar.apply() == {"FINISHED"}
+    assert coordinates_of(lidar)["x_m"] == 7.0
+
+
+def check_a_sheared_lidar_is_refused_by_its_name_and_the_parents():
+    scene, lidar = loaded()
+    stretched = bpy.data.objects.new("Stretched", None)
+    scene.collection.objects.link(stretched)
+    stretched.scale, lidar.rotation_euler = (0.5, 0.5, 3.0), (0.6, 0.0, 0.0)
+    lidar.parent = stretched
+    bpy.context.view_layer.update()
+    line = refused(bpy.ops.blender_lidar.scan)
+    assert f"{lidar.name}: is sheared by its parent Stretched" in line, line
+    assert math.isnan(lidar.blender_lidar.tilt_x_deg)
+    stretched.scale = (2.0, 2.0, 2.0)
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+
+
+def check_who_clicks_on_a_part_selects_the_lidar():
+    scene, lidar = loaded()
+    layer = bpy.context.view_layer
+    for piece in [child for child in lidar.children if role(child) in (PART, FAN)]:
+        assert not piece.hide_select, piece.name
+        choose(piece)
+        operators.select_wearer(layer)
+        assert layer.objects.active == lidar, piece.name
+        assert bpy.context.selected_objects == [lidar], piece.name
+    other = bpy.data.objects.new("Other", None)
+    scene.collection.objects.link(other)
+    choose(other)
+    operators.select_wearer(layer)
+    assert layer.objects.active == other
+    assert bpy.ops.blender_lidar.select(name=lidar.name) == {"FINISHED"}
+    assert (bpy.context.selected_objects, layer.objects.active) == ([lidar], lidar)
 
 
 def check_paths_may_be_relative_to_the_file():

@@ -140,6 +140,83 @@ def test_a_scanned_cloud_takes_another_colour_without_a_scan(lidar):
     assert cloud_of(lidar).modifiers[0].node_group.name == "Rings"
 
 
+def written(lidar):
+    """The cloud's points as they lie in Blender's data."""
+    found = np.empty(3 * len(cloud_of(lidar).data.vertices))
+    cloud_of(lidar).data.vertices.foreach_get("co", found)
+    return found.reshape(-1, 3)
+
+
+def test_no_cloud_of_before_is_seen_after_a_scan_a_save_a_render_or_the_end_of_the_add_on(lidar, tmp_path):
+    lidar.blender_lidar.live = True
+    shown = moved(lidar, height_m=4.0)
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    assert cloud_of(lidar).hide_get()
+    shown, seen = moved(lidar, x_m=4.0), []
+    bpy.app.handlers.save_pre.append(lambda *_: seen.append(cloud_of(lidar).hide_get()))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "live.blend"), copy=True)
+    bpy.app.handlers.save_pre.pop()
+    assert seen == [False]
+    assert cloud_of(lidar).hide_get()
+    np.testing.assert_allclose(written(lidar), shown.look.cloud.xyz, atol=1e-4)
+    shown = moved(lidar, x_m=5.0)
+    live.on_render(bpy.context.scene)
+    np.testing.assert_allclose(written(lidar), shown.look.cloud.xyz, atol=1e-4)
+    assert moved(lidar, x_m=5.5).look is shown.look  # nothing is looked at between
+    live.on_rendered(bpy.context.scene)
+    shown = moved(lidar, x_m=6.0)
+    live.unregister()
+    assert not cloud_of(lidar).hide_get()
+    np.testing.assert_allclose(written(lidar), shown.look.cloud.xyz, atol=1e-4)
+    live.register()
+
+
+def test_pictures_of_an_animation_have_the_cloud_of_their_frame(lidar):
+    scene = bpy.context.scene
+    lidar.blender_lidar.live = True
+    moved(lidar, height_m=4.0)
+    live.on_render(scene)
+    before = written(lidar)
+    scene.frame_set(scene.frame_current + 12)
+    after = written(lidar)
+    live.on_rendered(scene)
+    np.testing.assert_allclose(after, moved(lidar).look.cloud.xyz, atol=1e-4)
+    assert before.shape != after.shape or (before != after).any()
+
+
+def test_live_refuses_in_the_words_of_scan_and_draws_nothing_stale(lidar):
+    lidar.blender_lidar.live = True
+    moved(lidar, height_m=4.0)
+    shown = moved(lidar, y_m=5.0)
+    with pytest.raises(RuntimeError) as refusal:
+        bpy.ops.blender_lidar.scan()
+    assert bpy.context.scene.blender_lidar.problem == str(refusal.value).removeprefix("Error: ").strip()
+    assert shown.problem
+    assert not moved(lidar, y_m=0.0).problem
+    assert bpy.context.scene.blender_lidar.problem == ""
+
+
+def test_boxes_of_vehicles_hold_them_and_take_the_colours_of_their_entropy(lidar):
+    lidar.blender_lidar.live = True
+    shown, scene = moved(lidar, height_m=4.0), bpy.context.scene
+    boxes, vehicles = live._state.boxes[session.uid_of(scene)], session.vehicles_of(scene)
+    np.testing.assert_array_equal(boxes.bits, shown.bits)
+    corners = live.box_corners(boxes.vehicles)
+    assert corners.shape == (len(vehicles), 8, 3)
+    on = shown.look.cloud.vehicle_id == vehicles.vehicle_id[np.argmax(shown.bits)]
+    box = corners[np.argmax(shown.bits)]
+    assert (shown.look.cloud.xyz[on] > box.min(axis=0)).all()
+    assert (shown.look.cloud.xyz[on] < box.max(axis=0)).all()
+    edges = box[live._EDGES[:, 0]] - box[live._EDGES[:, 1]]
+    sides = np.sort(np.linalg.norm(edges, axis=1)).reshape(3, 4)
+    assert np.ptp(sides, axis=1).max() < 1e-9
+    areas = np.linalg.norm(np.cross(*(box[live._FACES[:, k]] - box[live._FACES[:, 0]] for k in (1, 2))), axis=1)
+    x, y, z = sides[:, 0]
+    assert areas.sum() / 2 == pytest.approx(2 * (x * y + y * z + z * x))
+    lidar.blender_lidar.live = False
+    assert not live._state.boxes
+
+
 def test_where_undo_has_ended_it_nothing_is_written(lidar):
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     before = len(cloud_of(lidar).data.vertices)

@@ -2,8 +2,8 @@
 
 import bpy
 
-from ..world.blender.objects import KEY
-from . import properties, session
+from ..world.blender.objects import KEY, lidars
+from . import operators, properties, session
 
 _ROLE, _SETTINGS = "blender_lidar", "lidar"  # custom properties then
 # Models in the order that their numbers were in.
@@ -14,6 +14,7 @@ _MODELS = (
 ).split()
 
 
+@properties.guarded
 def take_over() -> None:
     """Give what a file of before holds its present names; other files stay as they are."""
     data = bpy.data
@@ -33,9 +34,10 @@ def take_over() -> None:
         old = old.to_dict() if hasattr(old, "to_dict") else {}
         if isinstance(old.get("active"), str):
             scene.blender_lidar.active = scene.objects.get(old["active"])
+        session.keep_lidars(scene, lidars(scene))
         if "frame" in old and old.get("loaded"):  # which was the clock
             scene.blender_lidar.known_frame = old["frame"]
-            session.start_clock(scene, session.recording_of(scene), old["frame"])
+            operators.show_loaded(scene)  # its road had no parts that can be hidden
 
 
 def _fill(group, values) -> None:

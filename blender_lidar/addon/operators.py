@@ -129,6 +129,14 @@ def show_moment(scene: bpy.types.Scene) -> None:
     show_vehicles(scene, session.vehicles_of(scene), scene.blender_lidar.world.detail)
 
 
+def show_loaded(scene: bpy.types.Scene) -> Recording:
+    """Read a scene's traffic as its fields say, and show it with its road."""
+    scenery = _standing(session.scenario_from(scene, session.active_lidar(scene)))
+    recording = session.recording_of(scene)
+    show_traffic(scene, recording, scene.blender_lidar.known_frame, scenery)
+    return recording
+
+
 class BLENDER_LIDAR_OT_load(bpy.types.Operator):
     """Read the traffic file, or the scene file, and show its road and vehicles"""
 
@@ -141,9 +149,10 @@ class BLENDER_LIDAR_OT_load(bpy.types.Operator):
         path = bpy.path.abspath(scene.blender_lidar.traffic.path)
         if path.lower().endswith(".toml"):
             return _take_over(self, context, Path(path))
-        scenery = _standing(session.scenario_from(scene, session.active_lidar(scene)))
-        recording = session.recording_of(scene)
-        show_traffic(scene, recording, scene.blender_lidar.known_frame, scenery)
+        recording = show_loaded(scene)
+        if (lidar := session.active_lidar(scene)) is not None:
+            select(context, lidar)
+            live.frame_site(lidar, lidar.blender_lidar.range_gate_m)
         return _loaded(self, recording)
 
 
