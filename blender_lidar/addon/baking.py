@@ -80,12 +80,11 @@ def steps(scene: bpy.types.Scene) -> Iterator[str]:
         yield f"{len(keys)} clouds"
         for frame, key in keys:
             scene = next((one for one in bpy.data.scenes if session.uid_of(one) == uid), None)
-            if scene is None:  # or a LiDAR may have been deleted meanwhile
-                return
-            if frame != at or frame != scene.frame_current_final:  # a window may play meanwhile
+            found = [one for one in lidars(scene) if session.uid_of(one) == key] if scene is not None else []
+            if found and (frame != at or frame != scene.frame_current_final):  # a window may play meanwhile
                 scene.frame_set(at := frame)
             try:
-                made = [_bake(scene, one) for one in lidars(scene) if session.uid_of(one) == key]
+                made = [_bake(scene, one) for one in found]  # none where it was deleted meanwhile
             except BlenderLidarError as error:
                 raise InputError(f"frame {frame}: {' '.join(str(error).split())}") from error
             _work["done"] += 1
@@ -141,7 +140,7 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
     points |= {"xyz": np.stack([record[axis] for axis in "xyz"], axis=1), "vehicle": points.pop("vehicle_id")}
     points["entropy"] = np.interp(points["vehicle"], *header.get(_BITS, ([-1], [0.0])))
     away = points["xyz"] - np.float32(Pose.from_table(header["pose"]).position if header else 0.0)
-    return points | {"range": np.sqrt((away**2).sum(axis=1))}, header
+    return points | {"range": np.sqrt(np.einsum("ij,ij->i", away, away))}, header
 
 
 @persistent
