@@ -25,7 +25,7 @@ def package():
     from blender_lidar.addon import handlers
 
     blender_lidar.register()
-    handlers.on_load()
+    handlers.adopt_all()
     return "blender_lidar"
 
 

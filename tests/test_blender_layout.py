@@ -325,7 +325,7 @@ def test_render_shows_the_layout_and_all_baselines(tmp_path, capsys, monkeypatch
     assert code == 0, err
     assert shown[0] == pytest.approx({name: of["height_m"] for name, of in result["baseline"]["deployments"].items()})
     assert shown[1] == pytest.approx({row["name"]: row["deployment"]["height_m"] for row in result["lidars"]})
-    assert len(list((tmp_path / "run").glob("render_*.png"))) == 4
+    assert len(list((tmp_path / "run").glob("render_*.png"))) == 7
     folder = tmp_path / "kitti"
     folder.mkdir()
     code, _, err = cli(capsys, "render", tmp_path / "run", "--detections", folder)

@@ -181,9 +181,28 @@ def test_a_run_is_rendered_and_its_page_shows_the_pictures(tmp_path, capsys, mon
     assert cli(capsys, "evaluate", scene, "--height", 3, "--out", folder)[0] == 0
     out, _ = done(capsys, "render", folder, "--samples", 1)
     pictures = sorted(path.name for path in folder.glob("render_*.png"))
-    assert pictures == [f"render_{name}_{view}.png" for name in ("baseline", "optimised") for view in ("above", "pole")]
+    views = ("above", "points", "pole")
+    named = [f"render_{name}_{view}.png" for name in ("baseline", "optimised") for view in views]
+    assert pictures == sorted([*named, "render_comparison.png"])
     assert all(name in out for name in pictures)
-    assert (folder / "report.html").read_text().count("data:image/png") == 4
+    assert (folder / "report.html").read_text().count("data:image/png") == 6
+    shown = {name: _pixels(folder / name) for name in pictures}
+    assert shown["render_comparison.png"].shape == (72, 128, 3)
+    above = np.concatenate([shown[f"render_{name}_above.png"] for name in ("baseline", "optimised")], axis=1)
+    np.testing.assert_allclose(shown["render_comparison.png"][36:], above, atol=1.5 / 255.0)
+    assert shown["render_baseline_points.png"].mean() < 0.5 * shown["render_baseline_above.png"].mean()
+    done(capsys, "render", folder, "--samples", 1, "--style", "points")
+    assert _pixels(folder / "render_comparison.png").shape == (36, 128, 3)
+
+
+def _pixels(path):
+    """Of a picture, (height, width, 3), from the bottom."""
+    image = bpy.data.images.load(str(path))
+    width, height = image.size
+    pixels = np.empty((height, width, 4), np.float32)
+    image.pixels.foreach_get(pixels.ravel())
+    bpy.data.images.remove(image)
+    return pixels[..., :3]
 
 
 def test_detections_are_built_and_rendered_with_the_mounting_that_they_are_of(tmp_path, capsys, monkeypatch):

@@ -348,6 +348,8 @@ def _render(subparsers) -> None:
     parser.add_argument("--frame", type=int, metavar="K", help=frame)
     samples = "light paths per pixel, 1 to 4096; more is smoother and slower"
     parser.add_argument("--samples", type=int, metavar="N", help=samples)
+    style = "day, the scene; points, the clouds alone on black; both (default)"
+    parser.add_argument("--style", choices=("day", "points", "both"), default="both", help=style)
     shown = "show these detections as wire boxes, and those of the baseline if NAME_baseline is in the same folder: "
     parser.add_argument("--detections", metavar="FILE", help=shown + _DETECTIONS)
 

@@ -25,8 +25,8 @@ from ..detection.files import read_detected
 from ..errors import InputError
 from ..files import check_place, check_unused, make_folder, write_text
 from ..names import CLOUD_SUFFIXES
-from ..report.page import RENDER_VIEWS, render_file, write_report
-from ..report.summary import warnings_text
+from ..report.page import RENDER_COMPARISON, RENDER_VIEWS, render_file, write_report
+from ..report.summary import sides, warnings_text
 from ..run.folder import SCENE, RunFolder
 from ..scene.mount_checks import check_mount_is_clear
 from ..scene.mounting import Mounting
@@ -200,16 +200,25 @@ def run_render(args: argparse.Namespace) -> int:
     detections = {name: _detections(path, layouts[name]) for name, path in _detected_files(args.detections).items()}
     number = _fullest_frame(run, args.detections, detections["optimised"]) if args.frame is None else args.frame
     vehicles = frame_of(recording, number, "--frame")
-    written = []
-    with run.locked(), closing(Progress(len(layouts) * len(RENDER_VIEWS), "render")) as progress:
-        for name, layout in layouts.items():
+    written, views = (
+        [],
+        [view for view in RENDER_VIEWS if args.style in ("both", "points" if view == "points" else "day")],
+    )
+    captions = [f"{name}: {text}" for name, text, _ in sides(run.result)]
+    with run.locked(), closing(Progress(len(layouts) * len(views), "render")) as progress:
+        for (name, layout), caption in zip(layouts.items(), captions, strict=True):
             scene, sensors = blender.empty_scene(), mounted_sensors(scenario, layout)
             moment = fused_moment(scenario, sensors, vehicles, detections=detections[name])
             blender.build_scene(scene, moment)
-            for view in RENDER_VIEWS:
+            for view in views:
+                if view == "points":
+                    blender.show_points_alone(scene, caption)
                 written.append(run.file(render_file(name, view)))
                 blender.render_picture(written[-1], scene, blender.CAMERAS[view], size=blender.SIZE, samples=samples)
                 progress.advance(1)
+        seen = [view for view in ("above", "points") if view in views]
+        written.append(run.file(RENDER_COMPARISON))
+        blender.join_pictures(written[-1], [[run.file(render_file(name, view)) for name in layouts] for view in seen])
         written.append(write_report(run))
     print(f"frame {number}: " + ", ".join(map(str, written)))
     return 0

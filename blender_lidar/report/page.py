@@ -149,8 +149,9 @@ _OF_SEVERAL = {
     "reach.png": " A box counts at the LiDAR that is nearest to it.",
 }
 
+RENDER_COMPARISON = "render_comparison.png"  # of both mountings
 # Rendered pictures by where they look from, and what that is called.
-RENDER_VIEWS = {"above": "the road from above", "pole": "the view from the pole"}
+RENDER_VIEWS = {"above": "the road from above", "pole": "the view from the pole", "points": "the points alone"}
 
 
 def render_file(mounting: str, view: str) -> str:

@@ -8,6 +8,7 @@ from functools import partial
 import bpy
 import numpy as np
 
+from .nodes import light_nothing, math_of, node, output, ramp_of
 from .objects import (
     CLOUD,
     SENSOR,
@@ -27,14 +28,14 @@ _NAME, _COLOUR, _MATERIAL = "Point cloud", "colour", "LiDAR points"
 _OLD_GROUP = "LiDAR points"  # the key of a group that shows a colour stored with the points, as older files have it
 # Linear RGB of what is coloured by a number, evenly over its range.
 _BY_ENTROPY = ((0.85, 0.05, 0.02), (0.95, 0.55, 0.02), (0.55, 0.95, 0.25))  # of 0, 0.5 and 1 bit of PE-VGOP
-_FADING, _FADED_M = ((0.16, 0.20, 0.26), (0.08, 0.10, 0.14)), 100.0  # of points on no vehicle, by their range
+_FADING, _FADED_M = ((0.26, 0.34, 0.46), (0.12, 0.17, 0.25)), 100.0  # of points on no vehicle, by their range
 # Viridis at 0, 0.25, 0.5, 0.75 and 1, its dark end lifted off asphalt: lighter is more, whoever looks.
 _VIRIDIS = ((0.12, 0.02, 0.28), (0.05, 0.14, 0.46), (0.01, 0.33, 0.34), (0.11, 0.62, 0.13), (0.98, 0.8, 0.02))
 # Red, yellow, green, cyan, blue, magenta and red again; what is on nothing is grey.
 _HUES = tuple(
     np.clip(np.array([(1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1), (1, 0, 1), (1, 0, 0)]), 0.05, 0.9)
 )
-_GREY = ((0.2, 0.2, 0.2),) * 2
+_GREY = (0.2, 0.2, 0.2)
 _NAMED = ("vehicle", "label")  # what is no quantity but a number of something, -1 of nothing
 _GOLDEN, _AFTER = 0.618034, 987  # of a turn from one number to the next, and after how many the hues come again
 
@@ -62,7 +63,7 @@ def colours_by(name: str, points: Mapping[str, np.ndarray]) -> np.ndarray:
         colours[:, :3] = np.where(points["vehicle"][:, None] >= 0, colours_of(values), elsewhere)
     elif name in _NAMED:
         turned = np.fmod(_numbers(values).astype(np.float32), np.float32(_AFTER)) * np.float32(_GOLDEN)
-        colours[:, :3] = np.where(values[:, None] >= 0, _ramp(turned - np.floor(turned), _HUES), _GREY[0])
+        colours[:, :3] = np.where(values[:, None] >= 0, _ramp(turned - np.floor(turned), _HUES), _GREY)
     elif name == "intensity":
         colours[:, :3] = _ramp(np.sqrt(values), _VIRIDIS)
     else:
@@ -207,10 +208,10 @@ def _material(name: str, strength: float = 1.0) -> bpy.types.Material:
         material.diffuse_color = (1.0, 0.75, 0.2, 1.0)  # all that solid views show
         tree = nodes_of(material)
         tree.nodes.clear()
-        colour = _node(tree, "ShaderNodeAttribute", attribute_name=_COLOUR)
-        shine = _node(tree, "ShaderNodeEmission", {0: colour.outputs["Color"], 1: strength})
-        _node(tree, "ShaderNodeOutputMaterial", {0: shine.outputs[0]})
-        return material
+        colour = node(tree, "ShaderNodeAttribute", attribute_name=_COLOUR)
+        shine = node(tree, "ShaderNodeEmission", {0: colour.outputs["Color"], 1: strength})
+        node(tree, "ShaderNodeOutputMaterial", {0: shine.outputs[0]})
+        return light_nothing(material)
 
     return made_once(bpy.data.materials, name, make)
 
@@ -230,67 +231,31 @@ def _styled(style):
     return group
 
 
-def _node(tree, kind, inputs=None, **settings):
-    """A new node, with settings, and its inputs, by index or name, joined to an output or set."""
-    node = tree.nodes.new(kind)
-    node.location = (200.0 * (len(tree.nodes) % 8), -300.0 * (len(tree.nodes) // 8))
-    for name, value in settings.items():
-        setattr(node, name, value)
-    sockets = [one for one in node.inputs if one.enabled]
-    for key, value in (inputs or {}).items():
-        into = sockets[key] if isinstance(key, int) else next(one for one in sockets if one.name == key)
-        if isinstance(value, bpy.types.NodeSocket):
-            tree.links.new(value, into)
-        else:
-            into.default_value = value
-    return node
-
-
-def _out(tree, kind, inputs=None, **settings):
-    """The first output of a new node."""
-    return next(one for one in _node(tree, kind, inputs, **settings).outputs if one.enabled)
-
-
-def _math(tree, operation, *values):
-    return _out(tree, "ShaderNodeMath", dict(enumerate(values)), operation=operation)
-
-
 def _chosen(tree, kind, which, no, yes):
-    return _out(tree, "GeometryNodeSwitch", {"Switch": which, "False": no, "True": yes}, input_type=kind)
-
-
-def _ramp_of(tree, value, colours):
-    """What `_ramp` does, in nodes."""
-    node = _node(tree, "ShaderNodeValToRGB", {0: value})
-    stops = node.color_ramp.elements
-    for place in np.linspace(0.0, 1.0, len(colours))[1:-1]:
-        stops.new(place)
-    for stop, colour in zip(stops, colours, strict=True):
-        stop.color = (*colour, 1.0)
-    return node.outputs[0]
+    return output(tree, "GeometryNodeSwitch", {"Switch": which, "False": no, "True": yes}, input_type=kind)
 
 
 def _colours(tree, shown, by):
     """What `colours_by` does, in nodes."""
 
     def read(name):
-        return _out(tree, "GeometryNodeInputNamedAttribute", {"Name": name}, data_type="FLOAT")
+        return output(tree, "GeometryNodeInputNamedAttribute", {"Name": name}, data_type="FLOAT")
 
     def named(name):
-        return _out(tree, "FunctionNodeCompare", {"A": by, "B": name}, data_type="STRING", operation="EQUAL")
+        return output(tree, "FunctionNodeCompare", {"A": by, "B": name}, data_type="STRING", operation="EQUAL")
 
     value, range_m = read(by), read("range")
-    statistic = _node(tree, "GeometryNodeAttributeStatistic", {"Geometry": shown, "Attribute": value})
+    statistic = node(tree, "GeometryNodeAttributeStatistic", {"Geometry": shown, "Attribute": value})
     most = next(one for one in statistic.outputs if one.name == "Max" and one.enabled)
-    share = _math(tree, "DIVIDE", value, most)
-    share = _chosen(tree, "FLOAT", named("intensity"), share, _math(tree, "SQRT", value))
-    turned = _math(tree, "FRACT", _math(tree, "MULTIPLY", _math(tree, "MODULO", value, float(_AFTER)), _GOLDEN))
-    hue, grey = _ramp_of(tree, turned, _HUES), _ramp_of(tree, turned, _GREY)
-    hue = _chosen(tree, "RGBA", _math(tree, "GREATER_THAN", value, -0.5), grey, hue)
-    elsewhere = _ramp_of(tree, _math(tree, "DIVIDE", range_m, _FADED_M), _FADING)
-    on_vehicle = _math(tree, "GREATER_THAN", read("vehicle"), -0.5)
-    entropy = _chosen(tree, "RGBA", on_vehicle, elsewhere, _ramp_of(tree, value, _BY_ENTROPY))
-    colour = _chosen(tree, "RGBA", named("entropy"), _ramp_of(tree, share, _VIRIDIS), entropy)
+    share = math_of(tree, "DIVIDE", value, most)
+    share = _chosen(tree, "FLOAT", named("intensity"), share, math_of(tree, "SQRT", value))
+    turned = math_of(tree, "FRACT", math_of(tree, "MULTIPLY", math_of(tree, "MODULO", value, float(_AFTER)), _GOLDEN))
+    on_something = math_of(tree, "GREATER_THAN", value, -0.5)
+    hue = _chosen(tree, "RGBA", on_something, (*_GREY, 1.0), ramp_of(tree, turned, _HUES))
+    elsewhere = ramp_of(tree, math_of(tree, "DIVIDE", range_m, _FADED_M), _FADING)
+    on_vehicle = math_of(tree, "GREATER_THAN", read("vehicle"), -0.5)
+    entropy = _chosen(tree, "RGBA", on_vehicle, elsewhere, ramp_of(tree, value, _BY_ENTROPY))
+    colour = _chosen(tree, "RGBA", named("entropy"), ramp_of(tree, share, _VIRIDIS), entropy)
     for name in _NAMED:
         colour = _chosen(tree, "RGBA", named(name), colour, hue)
     return colour
@@ -311,27 +276,25 @@ def _points() -> bpy.types.NodeTree:
     _socket(tree, "Geometry", "Geometry", direction="OUTPUT")
     if hasattr(tree, "is_modifier"):
         tree.is_modifier = True
-    given = _node(tree, "NodeGroupInput").outputs
+    given = node(tree, "NodeGroupInput").outputs
     shown, radius = given["Geometry"], given["Radius"]
     colour = _colours(tree, shown, given["Color By"])
     kind = {"data_type": "FLOAT_COLOR", "domain": "POINT"}
-    shown = _out(tree, "GeometryNodeStoreNamedAttribute", {0: shown, "Name": _COLOUR, "Value": colour}, **kind)
-    range_m = _out(tree, "GeometryNodeInputNamedAttribute", {"Name": "range"}, data_type="FLOAT")
-    outside = [
-        _math(tree, "LESS_THAN", range_m, given["Range From"]),
-        _math(tree, "GREATER_THAN", range_m, given["Range To"]),
-    ]
-    shown = _out(tree, "GeometryNodeDeleteGeometry", {0: shown, 1: _math(tree, "MAXIMUM", *outside)}, domain="POINT")
+    shown = output(tree, "GeometryNodeStoreNamedAttribute", {0: shown, "Name": _COLOUR, "Value": colour}, **kind)
+    range_m = output(tree, "GeometryNodeInputNamedAttribute", {"Name": "range"}, data_type="FLOAT")
+    near = math_of(tree, "LESS_THAN", range_m, given["Range From"])
+    outside = math_of(tree, "MAXIMUM", near, math_of(tree, "GREATER_THAN", range_m, given["Range To"]))
+    shown = output(tree, "GeometryNodeDeleteGeometry", {0: shown, 1: outside}, domain="POINT")
     if bpy.app.version < (4, 0):  # whose Eevee shows no attributes of points: real faces, though slow to make
-        ball = _out(tree, "GeometryNodeMeshIcoSphere", {"Radius": radius, "Subdivisions": 1})
-        shown = _out(tree, "GeometryNodeInstanceOnPoints", {"Points": shown, "Instance": ball})
-        shown = _out(tree, "GeometryNodeRealizeInstances", {0: shown})
+        ball = output(tree, "GeometryNodeMeshIcoSphere", {"Radius": radius, "Subdivisions": 1})
+        shown = output(tree, "GeometryNodeInstanceOnPoints", {"Points": shown, "Instance": ball})
+        shown = output(tree, "GeometryNodeRealizeInstances", {0: shown})
     else:  # a style that is dragged onto a cloud finds the points of the one before
-        points = _node(tree, "GeometryNodeSeparateComponents", {0: shown}).outputs["Point Cloud"]
-        again = _out(tree, "GeometryNodeSetPointRadius", {0: points, "Radius": radius})
-        both = _node(tree, "GeometryNodeJoinGeometry", {0: again})
-        tree.links.new(_out(tree, "GeometryNodeMeshToPoints", {0: shown, "Radius": radius}), both.inputs[0])
+        points = node(tree, "GeometryNodeSeparateComponents", {0: shown}).outputs["Point Cloud"]
+        again = output(tree, "GeometryNodeSetPointRadius", {0: points, "Radius": radius})
+        both = node(tree, "GeometryNodeJoinGeometry", {0: again})
+        tree.links.new(output(tree, "GeometryNodeMeshToPoints", {0: shown, "Radius": radius}), both.inputs[0])
         shown = both.outputs[0]
-    shown = _out(tree, "GeometryNodeSetMaterial", {0: shown, "Material": given["Material"]})
-    _node(tree, "NodeGroupOutput", {0: shown})
+    shown = output(tree, "GeometryNodeSetMaterial", {0: shown, "Material": given["Material"]})
+    node(tree, "NodeGroupOutput", {0: shown})
     return tree

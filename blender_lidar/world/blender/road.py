@@ -11,6 +11,7 @@ import numpy as np
 
 from ...road.road_map import Lane, RoadMap
 from ..meshes import ROAD
+from .nodes import light_nothing, math_of, node, output, ramp_of
 from .objects import MARKING, ROAD_ROLE, add_object, clear, collection, new_mesh, plain, road_frame, role
 
 _SHOULDER_M = 2.0
@@ -21,7 +22,8 @@ _STOP_LINE_M = 0.4
 _VERGE_ABOVE_M, _JUNCTION_ABOVE_M, _PATH_ABOVE_M, _LINE_ABOVE_M = -0.02, 0.005, 0.01, 0.02
 _CROSSING_ABOVE_M = 2e-4  # one lane of a junction over the other
 _BESIDE_M = 0.15  # beyond the edge of a lane, to see what lies there
-VERGE, LINE = (0.10, 0.125, 0.07), (0.75, 0.75, 0.72)  # linear RGB
+VERGE, LINE = (0.15, 0.20, 0.06), (0.75, 0.75, 0.72)  # linear RGB
+HAZE, _HAZE_FROM_M = (0.60, 0.72, 0.86), 400.0  # what far ground fades into, and where most of it has
 # By who travels there.
 ASPHALTS = {
     "vehicles": ("Asphalt", (0.045, 0.047, 0.05)),
@@ -35,16 +37,21 @@ Polygons = list[tuple[np.ndarray, float | np.ndarray, str]]
 """Outlines (k, 2) [m], counter-clockwise, with how high they lie above the road's surface [m] and of what material."""
 
 
-def build_road(scene: bpy.types.Scene, road: RoadMap, xy: Sequence[float], reach_m: float) -> None:
-    """The road within reach of a place [m, site frame], with its markings, and the verge beside it.
+def build_road(
+    scene: bpy.types.Scene, road: RoadMap, xy: Sequence[float], reach_m: float, verge_m: float = _VERGE_M
+) -> None:
+    """The road within reach of a place [m, site frame], with its markings, and the verge beside it, so wide.
 
     They are children of the road frame, and take the place of an earlier road.
     """
     into, frame = collection(scene, "Road", ROAD_ROLE), road_frame(scene)
     clear(into)
-    made = {name: plain(name, colour, ROAD, 0.9) for name, colour in ASPHALTS.values()}
-    made |= {"Verge": plain("Verge", VERGE, ROAD, 1.0), "Lane line": plain("Lane line", LINE)}
-    parts = _straight(road, road.stretch(xy, reach_m)) if road.endless else _mapped(road, np.asarray(xy), reach_m)
+    made = {name: _mottled(plain(name, colour, ROAD, 0.85), 0.25) for name, colour in ASPHALTS.values()}
+    made |= {"Verge": _mottled(plain("Verge", VERGE, ROAD, 1.0), 0.35), "Lane line": plain("Lane line", LINE)}
+    if road.endless:
+        parts = _straight(road, road.stretch(xy, reach_m), verge_m)
+    else:
+        parts = _mapped(road, np.asarray(xy), reach_m, verge_m)
     parts = {name: polygons for name, polygons in parts.items() if polygons}
     for name, polygons in parts.items():
         of = MARKING if name == "Lane lines" else ROAD_ROLE
@@ -96,14 +103,34 @@ def _flat_mesh(name, road, polygons: Polygons, materials):
     return new_mesh(name, vertices, faces, [materials[one] for one in names], slots)
 
 
+def _mottled(material, by):
+    """Let a material be lighter and darker from place to place by a share, and fade into the haze far away."""
+    tree = material.node_tree
+    shader = next(one for one in tree.nodes if one.type == "BSDF_PRINCIPLED")
+    colour = shader.inputs["Base Color"]
+    if colour.is_linked:
+        return material
+    place = node(tree, "ShaderNodeTexCoord").outputs["Object"]
+    patches = output(tree, "ShaderNodeTexNoise", {"Vector": place, "Scale": 0.15, "Detail": 3.0})
+    share = math_of(tree, "MULTIPLY_ADD", patches, 3.0, -1.0)  # noise keeps to its middle
+    ends = [[channel * (1.0 + sign * by) for channel in colour.default_value[:3]] for sign in (-1, 1)]
+    tree.links.new(ramp_of(tree, share, ends), colour)
+    far = math_of(tree, "DIVIDE", node(tree, "ShaderNodeCameraData").outputs["View Distance"], _HAZE_FROM_M)
+    clear_air = math_of(tree, "POWER", 0.4, math_of(tree, "MULTIPLY", far, far))
+    haze = output(tree, "ShaderNodeEmission", {"Color": (*HAZE, 1.0)})
+    both = output(tree, "ShaderNodeMixShader", {0: clear_air, 1: haze, 2: shader.outputs[0]})
+    tree.links.new(both, next(one for one in tree.nodes if one.type == "OUTPUT_MATERIAL").inputs["Surface"])
+    return light_nothing(material)
+
+
 # --- A straight road: carriageways with shoulders between two stations -----------------------------------------------
 
 
-def _straight(road: RoadMap, s_m: tuple[float, float]) -> dict[str, Polygons]:
+def _straight(road: RoadMap, s_m: tuple[float, float], verge_m: float) -> dict[str, Polygons]:
     """Carriageways with their crowns and shoulders, verges, and lines from station to station."""
     edges, between = (np.array([road.locate(line[:1]).t_m[0] for line in lines]) for lines in road.lines(s_m))
     carriageways = np.sort(edges).reshape(-1, 2)
-    asphalt, verges, free = [], [], carriageways[0, 0] - _VERGE_M
+    asphalt, verges, free = [], [], carriageways[0, 0] - verge_m
     half_medians = 0.5 * (carriageways[1:, 0] - carriageways[:-1, 1])
     shoulders = np.minimum(_SHOULDER_M, [_SHOULDER_M, *half_medians, _SHOULDER_M])
     for (low, high), right, left in zip(carriageways, shoulders[:-1], shoulders[1:], strict=True):
@@ -111,7 +138,7 @@ def _straight(road: RoadMap, s_m: tuple[float, float]) -> dict[str, Polygons]:
         crown = [] if road.surface.is_flat else [low, 0.5 * (low + high), high]
         asphalt += itertools.pairwise([low - right, *crown, high + left])
         free = high + left
-    verges.append((free, carriageways[-1, 1] + _VERGE_M))
+    verges.append((free, carriageways[-1, 1] + verge_m))
     half = 0.5 * _LINE_WIDTH_M
     painted = [(*s_m, t - half, t + half) for t in edges]
     for s in np.arange(s_m[0], s_m[1] - _DASH_M, _DASH_EVERY_M).tolist():
@@ -133,7 +160,7 @@ def _strips(road, strips, above_m, material) -> Polygons:
 # --- A mapped road: lanes with ends, and the areas of junctions ------------------------------------------------------
 
 
-def _mapped(road: RoadMap, xy: np.ndarray, reach_m: float) -> dict[str, Polygons]:
+def _mapped(road: RoadMap, xy: np.ndarray, reach_m: float, verge_m: float) -> dict[str, Polygons]:
     """Lanes within reach of a place, junctions and markings; of a driven area, which has no lanes, its outlines."""
     ends = _within_reach(road, xy, reach_m)
     sides = {row: np.array_split(road.area([row], ends[row])[0], 2) for row in ends}
@@ -149,7 +176,7 @@ def _mapped(road: RoadMap, xy: np.ndarray, reach_m: float) -> dict[str, Polygons
             above = (_PATH_ABOVE_M if lane.junction in covered else 0.0) + _CROSSING_ABOVE_M * (1 + number % 40)
         quads = np.stack([right[:-1], right[1:], left[1:], left[:-1]], axis=1)
         surface += [(quad, above, ASPHALTS[lane.use][0]) for quad in quads]
-    outer = reach_m + _VERGE_M
+    outer = reach_m + verge_m
     lowest = min([road.surface.height(outline).min() for outline, *_ in surface], default=0.0)
     verge = xy + outer * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
     return {

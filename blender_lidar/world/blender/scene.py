@@ -23,8 +23,10 @@ from ...traffic.boxes import DetectedBoxes
 from ...traffic.vehicles import Vehicles
 from ..scenery import Scenery
 from .detections import animate_detections, show_detections
+from .nodes import math_of, node, output, ramp_of
 from .objects import (
     FAN,
+    ROAD_ROLE,
     SENSOR,
     SETTINGS,
     STAGE,
@@ -35,23 +37,25 @@ from .objects import (
     collection,
     frame_of,
     made_once,
+    nodes_of,
     role,
     set_inputs,
 )
 from .points import show_cloud
 from .quiet import first_error, quiet
-from .road import build_road, middle_of
+from .road import HAZE, build_road, middle_of
 from .traffic import animate, show_vehicles
 
 # --- Cameras, light and viewports: a scene that looks right without touching a setting --------------------
 
 ABOVE, FROM_POLE = "From above", "From the pole"
-_CLIP_END_M = 2000.0
+_CLIP_END_M = 4000.0
 _CAMERA_ZOOM = 15.0  # the camera's picture fills the viewport
-_ABOVE = (-0.38, -0.62, 0.5)  # from the middle of the road to the camera, in depths: from before the pole
+# From the middle of the road to the camera and to what it looks at, in depths: from before the pole up to the horizon.
+_ABOVE, _BEYOND, _ABOVE_DEG = (-0.55, -0.42, 0.23), (0.4, 0.1, 0.0), 52.0
 _OVER_HEAD_M, _LOOKS_DOWN_RAD = 0.3, math.radians(15.0)  # the same for every tilt, so that pictures can be compared
-_SUN_DIRECTION = (0.35, 0.45, -0.8)
-_SUN_STRENGTH, _SKY, _SKY_STRENGTH = 3.2, (0.55, 0.65, 0.8), 0.55
+_SUN_DIRECTION, _SUN_COLOUR, _SUN_STRENGTH = (0.6, -0.3, -0.65), (1.0, 0.9, 0.76), 5.0
+_SKY = (HAZE, (0.42, 0.60, 0.86), (0.24, 0.44, 0.78), (0.14, 0.32, 0.68))  # from horizon to zenith
 
 
 def build_stage(scene: bpy.types.Scene, road: RoadMap, pose: Pose, depth_m: float) -> None:
@@ -71,13 +75,13 @@ def build_stage(scene: bpy.types.Scene, road: RoadMap, pose: Pose, depth_m: floa
     x, y, _ = middle - Vector((pose.x_m, pose.y_m, 0.0))
     facing = math.atan2(y, x) if x or y else 0.5 * math.pi  # one over the middle of the road looks to its left
     turn = Matrix.Rotation(facing - 0.5 * math.pi, 3, "Z")
-    above = middle + depth_m * (turn @ Vector(_ABOVE))
-    camera = _camera(into, frame, ABOVE, above, middle, 50.0)
+    above, beyond = (middle + depth_m * (turn @ Vector(off)) for off in (_ABOVE, _BEYOND))
+    camera = _camera(into, frame, ABOVE, above, beyond, _ABOVE_DEG)
     mount = Vector(pose.position.tolist()) + Vector((0.0, 0.0, _OVER_HEAD_M))
     looks = turn @ Vector((0.0, math.cos(_LOOKS_DOWN_RAD), -math.sin(_LOOKS_DOWN_RAD)))
     _camera(into, frame, FROM_POLE, mount, mount + looks, 100.0)
     sun = add_object(into, "Sun", bpy.data.lights.new("Sun", "SUN"), parent=frame)
-    sun.data.energy, sun.data.angle = _SUN_STRENGTH, math.radians(1.5)
+    sun.data.energy, sun.data.angle, sun.data.color = _SUN_STRENGTH, math.radians(2.0), _SUN_COLOUR
     sun.rotation_euler = Vector(_SUN_DIRECTION).to_track_quat("-Z", "Y").to_euler()
     if scene.camera is None:  # one of the user's own stays
         scene.camera = camera
@@ -104,18 +108,24 @@ def _camera(into, frame, name, place, target, angle_deg):
 
 
 def _sky():
+    """A sky that is hazy at the horizon: no sky model is the same in all Blenders."""
     world = bpy.data.worlds.new("Sky")
-    world.color = _SKY
-    set_inputs(world, "BACKGROUND", {"Color": (*_SKY, 1.0), "Strength": _SKY_STRENGTH})
+    world.color = HAZE
+    tree = nodes_of(world)
+    tree.nodes.clear()
+    up = node(tree, "ShaderNodeSeparateXYZ", {0: node(tree, "ShaderNodeTexCoord").outputs["Generated"]}).outputs["Z"]
+    colour = ramp_of(tree, math_of(tree, "POWER", math_of(tree, "MAXIMUM", up, 0.0), 0.5), _SKY)
+    node(tree, "ShaderNodeOutputWorld", {0: output(tree, "ShaderNodeBackground", {0: colour})})
     return world
 
 
 # --- Pictures of a scene, by Cycles on the processor: the same picture from the same scene, on any machine -
 
-CAMERAS = {"above": ABOVE, "pole": FROM_POLE}  # by the names of the pictures' files
+CAMERAS = {"above": ABOVE, "pole": FROM_POLE, "points": ABOVE}  # by the names of the pictures' files
 SIZE = (1280, 720)
 SAMPLES = 12
 _SEED = 1
+_CAPTION_PIXELS, _DIM = 24, 0.08
 _BOUNCES = 3  # light that has been reflected more often shows in no picture of a road
 
 
@@ -161,6 +171,42 @@ def render_picture(
         write_bytes(path, picture.read_bytes())
 
 
+def show_points_alone(scene: bpy.types.Scene, caption: str) -> None:
+    """Let pictures of a scene show its clouds on black, with all but the ground in dim light, and a caption."""
+    for item in scene.objects:
+        item.visible_camera = role(item) not in (ROAD_ROLE, FAN)
+        if item.type == "LIGHT":
+            item.data.energy = _DIM
+    scene.world = bpy.data.worlds.new("Black")
+    set_inputs(scene.world, "BACKGROUND", {"Color": (0.0, 0.0, 0.0, 1.0)})
+    render = scene.render
+    for name in render.bl_rna.properties.keys():  # noqa: SIM118
+        if name.startswith("use_stamp"):
+            setattr(render, name, name in ("use_stamp", "use_stamp_note"))
+    render.stamp_note_text, render.stamp_font_size = caption, _CAPTION_PIXELS
+    render.stamp_background = (0.0, 0.0, 0.0, 1.0)
+
+
+def join_pictures(path: str | Path, rows: Sequence[Sequence[Path]]) -> None:
+    """One PNG file of several pictures of a size, in rows."""
+    pixels = []
+    for picture in [picture for row in rows for picture in row]:
+        image = bpy.data.images.load(str(picture))
+        width, height = image.size
+        pixels.append(np.empty((height, width, 4), np.float32))
+        image.pixels.foreach_get(pixels[-1].ravel())
+        bpy.data.images.remove(image)
+    columns = len(rows[0])
+    across = [np.concatenate(pixels[at : at + columns], axis=1) for at in range(0, len(pixels), columns)]
+    joined = np.concatenate(across[::-1])  # images begin at the bottom
+    image = bpy.data.images.new("Joined", joined.shape[1], joined.shape[0])
+    image.pixels.foreach_set(joined.ravel())
+    with tempfile.TemporaryDirectory(prefix="blender_lidar-") as folder:
+        image.filepath_raw, image.file_format = str(Path(folder) / "picture.png"), "PNG"
+        image.save()
+        write_bytes(path, Path(image.filepath_raw).read_bytes())
+
+
 def _settings(scene, size, samples):
     render = scene.render
     try:
@@ -181,7 +227,7 @@ def _settings(scene, size, samples):
 
 # --- A whole scene: road, vehicles, LiDAR and what it saw, in Blender, and as a .blend file ---------------
 
-_LEAST_REACH_M = 120.0
+_LEAST_REACH_M, _HORIZON_M = 120.0, 1500.0  # of the road, and of the ground that hides its end in haze
 _SEEN_SHARE, _SEEN_AT_MOST_M = 1.4, 120.0  # of the range gate: how much road the camera above takes in
 
 
@@ -251,7 +297,8 @@ def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     each = moment, *moment.further
     middle, gate_m = np.mean([one.pose.position for one in each], axis=0), max(one.range_gate_m for one in each)
     away_m = float(max(np.abs(one.pose.position - middle).max() for one in each))
-    build_road(scene, moment.road, middle[:2], max(_LEAST_REACH_M, gate_m) + away_m)
+    reach_m = max(_LEAST_REACH_M, gate_m) + away_m
+    build_road(scene, moment.road, middle[:2], _HORIZON_M if moment.road.endless else reach_m, _HORIZON_M)
     build_scenery(scene, moment.scenery)
     show_vehicles(scene, moment.vehicles, moment.detail)
     clear(collection(scene, "LiDAR", SENSOR))
