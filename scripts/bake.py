@@ -25,7 +25,7 @@ def package():
     from blender_lidar.addon import handlers
 
     blender_lidar.register()
-    handlers.adopt_all()
+    handlers.on_load()
     return "blender_lidar"
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import ChainMap
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import fields
@@ -19,13 +18,13 @@ import numpy as np
 from bpy.app.handlers import persistent
 from mathutils import Matrix
 
-from ..clouds.files import LABELS, record_of, write_cloud
+from ..clouds.files import record_of, write_cloud
 from ..clouds.snapshot import MountedSensor, entropy_of_vehicles, vertices_of
 from ..errors import BlenderLidarError, InputError
 from ..files import make_folder, source_digest
 from ..scene.site import lattice_of
 from ..sensors.pose import Pose
-from ..world.blender.objects import lidars, pose_of, to_road
+from ..world.blender.objects import pose_of, to_road
 from ..world.blender.points import cloud_of, show_cloud
 from ..world.scenery import NO_LABEL
 from . import live, operators, panels, properties, session
@@ -45,7 +44,7 @@ def folder_of(lidar: bpy.types.Object) -> Path:
 
 
 def _folder_named(lidar):
-    return f"//{Path(bpy.data.filepath).stem}_bake/{bpy.path.clean_name(lidar.name)}"
+    return f"//{Path(bpy.data.filepath).stem}_bake/{bpy.path.clean_name(lidar.name_full)}"
 
 
 def files_of(lidar: bpy.types.Object) -> dict[int, Path]:
@@ -64,7 +63,12 @@ def steps(scene: bpy.types.Scene) -> Iterator[str]:
     BlenderLidarError
         For a file that was never saved, no LiDAR, no frame, and where Scan refuses, with the frame.
     """
-    group, hung, before, uid = scene.blender_lidar, lidars(scene), scene.frame_current_final, session.uid_of(scene)
+    group, hung, before, uid = (
+        scene.blender_lidar,
+        session.lidars_of(scene),
+        scene.frame_current_final,
+        session.uid_of(scene),
+    )
     first, last = group.bake_frames if group.bake_own else (scene.frame_start, scene.frame_end)
     frames, folders = range(first, last + 1, group.bake_step), {_folder_named(one).casefold() for one in hung}
     if _work or not bpy.data.filepath:
@@ -72,7 +76,7 @@ def steps(scene: bpy.types.Scene) -> Iterator[str]:
     if len(folders) < max(len(hung), 1) or not frames:
         names = ", ".join(one.name for one in hung)
         raise InputError(f"Bake: LiDARs {names}, frames {first} to {last}; allowed: some, of names that make folders")
-    for one in hung:
+    for one in (one for one in hung if one.library is None):
         one.blender_lidar.baked = _folder_named(one)
     keys, at = [(frame, session.uid_of(one)) for frame in frames for one in hung], None
     _work.update(done=0, total=len(keys))
@@ -80,12 +84,11 @@ def steps(scene: bpy.types.Scene) -> Iterator[str]:
         yield f"{len(keys)} clouds"
         for frame, key in keys:
             scene = next((one for one in bpy.data.scenes if session.uid_of(one) == uid), None)
-            if scene is None:  # or a LiDAR may have been deleted meanwhile
-                return
-            if frame != at or frame != scene.frame_current_final:  # a window may play meanwhile
+            found = [one for one in session.lidars_of(scene) if session.uid_of(one) == key] if scene is not None else []
+            if found and (frame != at or frame != scene.frame_current_final):  # a window may play meanwhile
                 scene.frame_set(at := frame)
             try:
-                made = [_bake(scene, one) for one in lidars(scene) if session.uid_of(one) == key]
+                made = [_bake(scene, one) for one in found]  # none where it was deleted meanwhile
             except BlenderLidarError as error:
                 raise InputError(f"frame {frame}: {' '.join(str(error).split())}") from error
             _work["done"] += 1
@@ -103,9 +106,8 @@ def _bake(scene, lidar) -> bool:
     layout = session.layout_of(scene, lidar) if scenario.world.clutter else [lidar]  # which is kept clear of all
     of = [source_digest(), *map(tables.get, _OF_CLOUDS), scenario.lidar_name, *map(properties.mounting_of, layout)]
     of += map(session.stamp, scenario.files.values())
-    of += [
-        (one.digest, one.labels, one.label.tolist() if one.labels else 0) for one in (each.scenery for each in objects)
-    ]
+    for one in (objects[0].scenery,) if objects else ():
+        of += [one.digest, one.labels, hashlib.sha256(np.ascontiguousarray(one.label)).digest()]
     of += [np.asarray(getattr(vehicles, one.name)).tolist() for one in fields(vehicles)]
     digest = hashlib.sha256(repr(of).encode()).hexdigest()
     path = folder_of(lidar) / f"frame_{scene.frame_current:04d}{scene.blender_lidar.bake_format}"
@@ -114,11 +116,10 @@ def _bake(scene, lidar) -> bool:
     frame = session.live_frame(scene, lidar, exact=True)
     cloud, caster = frame.look(mounting.pose, objects).cloud, frame.observation.caster
     bits = entropy_of_vehicles(cloud, vehicles, scenario.objective)
-    header = MountedSensor(scenario, mounting, lattice_of(scenario.sensor), caster, None).cloud_header(vehicles)
-    labels = dict(ChainMap(*(one.scenery.labels for one in (*objects, frame.observation.scenery) if one is not None)))
-    header |= {LABELS: labels} if labels else {}
-    header |= {_MADE_OF: digest, _FIELDS: session.sensor_table(lidar), _POINTS: len(cloud)}
+    sensor = MountedSensor(scenario, mounting, lattice_of(scenario.sensor), caster, next(iter(objects), None))
+    made_of = {_MADE_OF: digest, _FIELDS: session.sensor_table(lidar), _POINTS: len(cloud)}
     seen = np.intersect1d(cloud.vehicle_id, vehicles.vehicle_id, return_indices=True)
+    header = sensor.cloud_header(vehicles) | made_of
     header[_BITS] = [-1, *seen[0].tolist()], [0.0, *bits[seen[2]].round(4).tolist()]
     make_folder(path.parent, "bake")
     write_cloud(path, cloud, header)
@@ -141,28 +142,29 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
     points |= {"xyz": np.stack([record[axis] for axis in "xyz"], axis=1), "vehicle": points.pop("vehicle_id")}
     points["entropy"] = np.interp(points["vehicle"], *header.get(_BITS, ([-1], [0.0])))
     away = points["xyz"] - np.float32(Pose.from_table(header["pose"]).position if header else 0.0)
-    return points | {"range": np.sqrt((away**2).sum(axis=1))}, header
+    return points | {"range": np.sqrt(np.einsum("ij,ij->i", away, away))}, header
 
 
 @persistent
+@properties.guarded
 def on_frame(scene, depsgraph=None, *_) -> None:
     """Let each LiDAR that was baked and is not live show the file of the frame that the scene has gone to, if any."""
     rendering = depsgraph is not None and depsgraph.mode == "RENDER"  # when no object may be made
-    for lidar in [] if _work or not bpy.data.filepath else lidars(scene):
+    for lidar in [] if _work or not bpy.data.filepath else session.lidars_of(scene):
         folder = folder_of(lidar)
         if lidar.blender_lidar.live or not folder.is_dir() or (rendering and cloud_of(lidar) is None):
             continue
         name = f"frame_{scene.frame_current:04d}"
         points, _shown[session.uid_of(lidar)] = _read(next(folder.glob(f"{name}.p*"), folder / name))
         scene.render.use_lock_interface = True  # a window that draws while a render changes meshes may crash
-        with suppress(BlenderLidarError):  # a tilted road frame, which the tab says
-            cloud = show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style)
-            if depsgraph is not None:  # while rendering, what moves is known there alone
-                there = to_road(scene, depsgraph) @ np.array(lidar.evaluated_get(depsgraph).matrix_world)
-                cloud.matrix_parent_inverse = Matrix(there).inverted_safe()
+        cloud = show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style)
+        if depsgraph is not None:  # while rendering, what moves is known there alone
+            there = to_road(scene, depsgraph) @ np.array(lidar.evaluated_get(depsgraph).matrix_world)
+            cloud.matrix_parent_inverse = Matrix(there).inverted_safe()
 
 
 @persistent
+@properties.guarded
 def on_load(*_) -> None:
     """Show what was baked of a file that was opened."""
     for scene in bpy.data.scenes:
@@ -239,14 +241,15 @@ class BLENDER_LIDAR_OT_free_bake(bpy.types.Operator):
 
     def execute(self, context):
         """Delete what Bake has written, and folders that hold nothing else."""
-        for lidar in lidars(context.scene):
+        for lidar in session.lidars_of(context.scene):
             for path in files_of(lidar).values():
                 if _MADE_OF in _read(path)[1]:
                     path.unlink()
             for place in (folder_of(lidar), folder_of(lidar).parent):
                 with suppress(OSError):
                     place.rmdir()
-            lidar.blender_lidar.baked = ""
+            if lidar.library is None:
+                lidar.blender_lidar.baked = ""
             _shown.pop(session.uid_of(lidar), None)
         return {"FINISHED"}
 

@@ -323,7 +323,7 @@ def _draw_boxes(boxes, scale):
     import gpu
     from gpu_extras.batch import batch_for_shader
 
-    if boxes is None:
+    if boxes is None or not len(boxes.bits):
         return
     shader = gpu.shader.from_builtin("3D_FLAT_COLOR" if bpy.app.version < (4, 0) else "FLAT_COLOR")
     if boxes.batches is None:
