@@ -151,3 +151,30 @@ def test_a_cloud_is_labelled_and_as_bright_as_its_materials_and_files_keep_it(sc
     pane = replace(objects, surface=np.full(len(objects), GLASS, np.uint8))
     assert (seen(pane).label >= 0).sum() == mine.sum()
     assert not (seen(pane, imperfections=Imperfections(glass_dropout=1.0)).label >= 0).any()
+
+
+def test_linked_libraries_and_geometry_nodes_are_labelled_by_what_they_show(scene, tmp_path):
+    tree = bpy.data.collections.new("Baum")
+    standing(scene, "Krone", material("Laub", colour=(0.1, 0.1, 0.1, 1.0)), into=tree).pass_index = 5
+    bpy.data.libraries.write(str(tmp_path / "trees.blend"), {tree}, fake_user=True)
+    scene = empty_scene()
+    with bpy.data.libraries.load(str(tmp_path / "trees.blend"), link=True) as (_, here):
+        here.collections = ["Baum"]
+    forest = bpy.data.objects.new("Wald", None)
+    forest.instance_type, forest.instance_collection = "COLLECTION", here.collections[0]
+    scene.collection.objects.link(forest)
+    meadow, group = standing(scene, "Wiese"), bpy.data.node_groups.new("Streu", "GeometryNodeTree")
+    group.interface.new_socket(name="Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    kinds = ("GeometryNodeMeshGrid", "GeometryNodeObjectInfo", "GeometryNodeInstanceOnPoints", "NodeGroupOutput")
+    grid, shown, placed, out = map(group.nodes.new, kinds)
+    shown.inputs["Object"].default_value, shown.inputs["As Instance"].default_value = bpy.data.objects["Krone"], True
+    group.links.new(grid.outputs["Mesh"], placed.inputs["Points"])
+    group.links.new(shown.outputs["Geometry"], placed.inputs["Instance"])
+    group.links.new(placed.outputs["Instances"], out.inputs[0])
+    meadow.modifiers.new("Streu", "NODES").node_group = group
+    for by, name in (("object", "Krone"), ("collection", "Baum"), ("pass_index", "5"), ("material", "Laub")):
+        found = visible_triangles(scene, labels=Labels(scene, by))
+        assert set(found.labels.values()) == {name}, by
+        assert (found.label >= 0).all()
+        assert len(found.names) == 10  # one of the library, nine of the nodes
+    assert set(found.surface.tolist()) == {surface_of(0.1)}
