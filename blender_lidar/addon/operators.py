@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
+from mathutils import Vector
 
 from ..casting import resolve
 from ..clouds.files import SUSTECHPOINTS_PARTS, write_cloud, write_sustechpoints
@@ -80,27 +81,25 @@ def has_traffic(context: bpy.types.Context) -> bool:
 
 
 class NeedsLidar:
-    """An operator that is grey until there is a LiDAR, and says so."""
+    """An operator that is grey, and says why, until there is a LiDAR and, where it is about scores, traffic."""
+
+    of_traffic = False
 
     @classmethod
     def poll(cls, context):
-        """Whether there is one."""
-        if session.active_lidar(context.scene) is None:
-            cls.poll_message_set("Add a LiDAR first: Add > LiDAR")
-            return False
-        return True
+        """Whether there are."""
+        missing = "Add a LiDAR first: Add > LiDAR" if session.active_lidar(context.scene) is None else ""
+        if cls.of_traffic and not has_traffic(context):
+            missing = "Load traffic first: the LiDAR tab of the sidebar, Traffic"
+        if missing:
+            cls.poll_message_set(missing)
+        return not missing
 
 
 class NeedsTraffic(NeedsLidar):
-    """An operator that is grey until traffic is loaded as well, and says so."""
+    """An operator that needs traffic too."""
 
-    @classmethod
-    def poll(cls, context):
-        """Whether there is traffic, and a LiDAR."""
-        if not has_traffic(context):
-            cls.poll_message_set("Load traffic first: the LiDAR tab of the sidebar, Traffic")
-            return False
-        return super().poll(context)
+    of_traffic = True
 
 
 # --- Traffic ----------------------------------------------------------------------------------------------------------
@@ -334,18 +333,15 @@ def _beside_what_is_there(context, place: np.ndarray) -> np.ndarray:
 
     That is as far off as the object is large; where it is too large to be seen from there the place stays.
     """
-    found = []
+    best, size = place, _STAND_OFF_M
     for item in context.view_layer.objects:
         if item.type in _WITH_FACES and is_own(item) and item.visible_get(view_layer=context.view_layer):
-            world = np.array(item.matrix_world)
-            box = np.array(item.bound_box) @ world[:3, :3].T + world[:3, 3]
-            found.append((box.min(axis=0), box.max(axis=0)))
-    boxes = [(low, high) for low, high in found if (low < place).all() and (place < high).all()]
-    if not boxes:
-        return place
-    low, high = min(boxes, key=lambda box: np.ptp(box, axis=0).max())
-    size, middle = (high - low).max(), 0.5 * (low + high)
-    return np.array([middle[0], low[1] - size, middle[2]]) if size < _STAND_OFF_M else place
+            box = np.array([item.matrix_world @ Vector(corner) for corner in item.bound_box])
+            low, high = box.min(axis=0), box.max(axis=0)
+            if (low < place).all() and (place < high).all() and (high - low).max() < size:
+                size, middle = (high - low).max(), 0.5 * (low + high)
+                best = np.array([middle[0], low[1] - size, middle[2]])
+    return best
 
 
 def _shows(layer: bpy.types.LayerCollection, of: bpy.types.Collection) -> bool:

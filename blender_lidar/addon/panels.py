@@ -120,12 +120,14 @@ class BLENDER_LIDAR_PT_road(bpy.types.Panel):
 
 
 class OfLidar:
-    """A panel that is there once there is a LiDAR."""
+    """A panel that is there once there is a LiDAR and, where it is about scores, traffic."""
+
+    of_traffic = False
 
     @classmethod
     def poll(cls, context):
-        """Whether there is one."""
-        return session.active_lidar(context.scene) is not None
+        """Whether there are."""
+        return session.active_lidar(context.scene) is not None and operators.has_traffic(context) >= cls.of_traffic
 
     def draw(self, context):
         """What the panel has for the active LiDAR."""
@@ -134,12 +136,9 @@ class OfLidar:
 
 
 class OfTraffic(OfLidar):
-    """A panel that is there once traffic is loaded as well."""
+    """A panel that is about scores."""
 
-    @classmethod
-    def poll(cls, context):
-        """Whether there are both."""
-        return operators.has_traffic(context) and super().poll(context)
+    of_traffic = True
 
 
 @panel("Sensor", BLENDER_LIDAR_PT_main.__name__)
