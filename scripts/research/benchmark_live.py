@@ -1,92 +1,314 @@
-"""Time updates of the live preview: a LiDAR is dragged 60 m along a dense frame, with NumPy alone; redraws excluded.
+"""Time live updates and their kin in two commits of this repository side by side: NumPy alone, caster bvh.
 
-An update casts, scores, writes the cloud's mesh with its attributes, and colours points and vehicles. Runs in the bpy
-module, and in a real Blender:
+An update is all that happens after a LiDAR has moved: Blender evaluates, the add-on's handlers take note of it, and
+`live.update()` casts, scores and colours. Redraws are left out, except for what they ask of the add-on. Each case runs
+in processes of its own, in turn with the one commit and the other; a row gives median and 95 % quantile.
 
-blender --background --factory-startup --python-exit-code 1 --python scripts/research/benchmark_live.py -- SCENE.toml
+    python scripts/research/benchmark_live.py                              with the module bpy
+    python scripts/research/benchmark_live.py --blender blender            with a Blender
+    python scripts/research/benchmark_live.py --only trees --against HEAD  some cases, against another commit
 """
 
 import argparse
+import json
+import math
+import os
+import shutil
+import subprocess
 import sys
+import tarfile
+import tempfile
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # Blender's own Python need not have the package installed
-sys.modules["numba"] = None  # as if it were not installed
-
-import bpy
-import numpy as np
-
-from blender_lidar.clouds.live import LiveFrame
-from blender_lidar.clouds.snapshot import entropy_of_vehicles, vertices_of
-from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.scene.site import prepare, read_recording
-from blender_lidar.world.blender.objects import build_lidar, new_mesh
-from blender_lidar.world.blender.points import colours_by, show_cloud, write_cloud
-from blender_lidar.world.blender.preview import VisibleObjects
-from blender_lidar.world.blender.scene import empty_scene
-from blender_lidar.world.blender.traffic import colour_vehicles, show_vehicles
-
+HERE = Path(__file__).resolve().parents[2]
+_RESULT = "benchmark_live: "
 _MOUNTINGS = {"RS-16": (4.1, 19.0), "RS-80": (4.4, 9.0)}  # the paper's Table II: height [m] and tilt [deg]
-_DRAG_M, _STEPS = 60.0, 121
+_DRAG_M, _STEPS = 30.0, 61
 _SIDE = 317  # squares along the edge of a ground of 200,000 triangles
+_FOREST_M, _TREES = 200.0, 5_000  # so many trees on a square of this edge
+_ROADSIDE_M = -2.0, 28.0  # y that is free of trees
+_HAY = 20_000  # objects of a scene without a LiDAR
 
 
 def main() -> int:
     """Carry it out; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scene", nargs="?", default="scenes/i80.toml")
-    parser.add_argument("--caster", default="bvh")
-    args = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else None)
-    print(f"Blender {bpy.app.version_string}, NumPy {np.__version__}, {args.caster}: {_STEPS} updates")
-    for sensor, (height, tilt) in _MOUNTINGS.items():
-        for objects in (False, True):
-            seconds, points = drag(args.scene, sensor, args.caster, height, tilt, objects)
-            first, (median, high, most) = 1e3 * seconds[0], 1e3 * np.quantile(seconds[1:], (0.5, 0.95, 1.0))
-            among = f"{sensor:<6} {'200,000 own triangles' if objects else 'traffic alone':<22} {points:7,} points"
-            print(f"{among}  median {median:6.1f}  p95 {high:6.1f}  most {most:6.1f}  the first {first:6.1f} ms")
+    parser.add_argument("--against", default="030385c", help="the other commit")
+    parser.add_argument("--blender", help="a Blender in place of the module bpy")
+    parser.add_argument("--only", default="", help="cases with this in their names")
+    parser.add_argument("--rounds", type=int, default=2, help="processes for each case and commit")
+    parser.add_argument("--seconds", type=float, default=5.0, help="how long each of them times, at least two updates")
+    parser.add_argument("--case", help=argparse.SUPPRESS)  # of a process of its own
+    parser.add_argument("--tree", help=argparse.SUPPRESS)
+    parser.add_argument("--site", help=argparse.SUPPRESS)
+    given = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
+    args = parser.parse_args(given)
+    if args.case:
+        return timed(args)
+    with tempfile.TemporaryDirectory() as folder:
+        then = Path(folder, "then")
+        packed = subprocess.run(["git", "archive", args.against], cwd=HERE, capture_output=True, check=True).stdout
+        Path(folder, "then.tar").write_bytes(packed)
+        with tarfile.open(Path(folder, "then.tar")) as archive:
+            archive.extractall(then)
+        site = shutil.copytree(then / "scenes", Path(folder, "scenes")) / "i80.toml"  # the same for both
+        print(f"| median (p95) | {args.against} | now | ratio |\n|---|---|---|---|")
+        for name, (_, unit, both) in CASES.items():
+            if args.only not in name:
+                continue
+            found = {}
+            for _ in range(args.rounds):
+                for tree in (then, HERE) if both else (HERE,):
+                    found.setdefault(tree, []).extend(in_a_process(args, name, tree, site))
+            told = {tree: quantiles(values, unit) for tree, values in found.items()}
+            ratio = f"{told[HERE][0] / told[then][0]:.3f}" if both else ""
+            before = told[then][1] if both else ""
+            print(f"| {name} [{unit}] | {before} | {told[HERE][1]} | {ratio} |", flush=True)
     return 0
 
 
-def drag(path, sensor, caster, height, tilt, with_objects):
-    """Seconds of each update (n,), and the points of the last."""
-    overrides = {("sensor", "name"): (sensor, "here"), ("model", "caster"): (caster, "here")}
-    scenario = load_scenario(path, overrides=overrides)
-    recording, site = read_recording(scenario), prepare(scenario)
-    vehicles = max((recording.vehicles(frame) for frame in recording.frames), key=len)
-    scene = empty_scene()
-    items = show_vehicles(scene, vehicles)
-    lidar = build_lidar(scene, site.observation.lattice, site.scenario.baseline.pose)
-    if with_objects:
-        scene.collection.objects.link(_ground())
-    live, seconds = LiveFrame(site.counted(vehicles), site.observation, site.scoring), []
-    objects, cloud = VisibleObjects(), None
-    for x in np.linspace(-0.5 * _DRAG_M, 0.5 * _DRAG_M, _STEPS):
-        pose = scenario.mounting({"x_m": x, "height_m": height, "tilt_x_deg": tilt}).pose
-        scene.view_layers[0].update()
-        started = time.perf_counter()
-        objects.refresh(scene, scene.view_layers[0].depsgraph)
-        look = live.look(pose, [objects])
-        bits = entropy_of_vehicles(look.cloud, vehicles, scenario.objective)
-        points = vertices_of(look.cloud, vehicles, bits)
-        colours_by("range", points)
-        if cloud is None:
-            cloud = show_cloud(lidar, points)
-        else:
-            write_cloud(cloud.data, points)
-        colour_vehicles(items, bits)
-        seconds.append(time.perf_counter() - started)
-    return np.array(seconds), len(look.cloud)
+def in_a_process(args, name, tree, site):
+    """What one process measures."""
+    command = [sys.executable, __file__]
+    if args.blender:
+        command = [
+            args.blender,
+            "--background",
+            "--factory-startup",
+            "--python-exit-code",
+            "1",
+            "--python",
+            __file__,
+            "--",
+        ]
+    command += ["--case", name, "--tree", str(tree), "--site", str(site), "--seconds", str(args.seconds)]
+    done = subprocess.run(command, cwd=tree, capture_output=True, text=True, check=False)
+    lines = [line for line in done.stdout.splitlines() if line.startswith(_RESULT)]
+    if not lines:
+        raise SystemExit(f"{name}, {tree}:\n{done.stdout[-2000:]}\n{done.stderr[-4000:]}")
+    return json.loads(lines[-1].removeprefix(_RESULT))
 
 
-def _ground():
+def quantiles(seconds, unit):
+    """Median, and what is printed of it."""
+    ordered = sorted(1.0 / value if unit == "frames/s" else 1e3 * value for value in seconds)
+    middle = ordered[len(ordered) // 2]
+    bad = ordered[int(0.05 * len(ordered))] if unit == "frames/s" else ordered[int(0.95 * len(ordered))]
+    return middle, f"{middle:.3g} ({bad:.3g})"
+
+
+# --- In a process of its own: the tree that is measured comes first in the path ---------------------------------------
+
+
+def timed(args):
+    """Measure one case, and print its seconds."""
+    sys.modules["numba"] = None  # as if it were not installed
+    sys.path.insert(0, args.tree)
+    import bpy
+
+    import blender_lidar
+
+    bpy.ops.wm.read_homefile(use_empty=True)
+    blender_lidar.register()
+    steps = CASES[args.case][0](Path(args.site))
+    next(steps)  # made ready
+    seconds, end = [], time.perf_counter() + args.seconds
+    while len(seconds) < _STEPS and (time.perf_counter() < end or len(seconds) < 2):
+        seconds.append(next(steps))
+    print(_RESULT + json.dumps(seconds), flush=True)
+    os._exit(0)  # bpy may hang at its end
+
+
+def clocked(call):
+    """Seconds of a call."""
+    started = time.perf_counter()
+    call()
+    return time.perf_counter() - started
+
+
+def own(thing):
+    """The add-on's properties of an object, or its operators: of both names that they have had."""
+    return getattr(thing, "blender_lidar", None) or thing.lidar
+
+
+def load(site):
+    """Load a scene file; returns its LiDAR."""
+    import bpy
+
+    group = bpy.context.scene.blender_lidar
+    group.traffic.path = str(site)
+    named = "blender_lidar" if hasattr(bpy.types.Object, "blender_lidar") else "lidar"
+    assert getattr(bpy.ops, named).load() == {"FINISHED"}
+    group.model.caster = "bvh"
+    from blender_lidar.world.blender.objects import lidars
+
+    return lidars(bpy.context.scene)[0]
+
+
+def live(lidar, sensor="RS-16"):
+    """Have a LiDAR live, at the paper's mounting; returns what takes it to an x [m] and updates."""
+    import bpy
+
+    from blender_lidar.addon import live as module
+
+    group = own(lidar)
+    group.name_ = sensor
+    height, tilt = _MOUNTINGS[sensor]
+    lidar.location, lidar.rotation_euler = (0.0, 0.0, height), (-math.radians(tilt), 0.0, 0.0)
+    group.live = True
+
+    def move(x):
+        lidar.location.x = x
+        bpy.context.view_layer.update()
+        module.update()
+
+    move(0.0)
+    assert not bpy.context.scene.blender_lidar.problem, bpy.context.scene.blender_lidar.problem
+    assert group.points > 0
+    return move
+
+
+def dragged(sensor, furnish=lambda: None):
+    """A case: the example's LiDAR is dragged along the road."""
+
+    def steps(site):
+        lidar = load(site)
+        furnish()
+        move = live(lidar, sensor)
+        move(-0.5 * _DRAG_M)
+        yield
+        while True:
+            for step in range(_STEPS):
+                yield clocked(lambda x=_DRAG_M * (step / (_STEPS - 1) - 0.5): move(x))
+
+    return steps
+
+
+def beside_a_moving_object(furnish):
+    """A case: the LiDAR stays, and an object of the user's moves."""
+
+    def steps(site):
+
+        lidar = load(site)
+        furnish()
+        item = ground(1.0, 8)
+        move = live(lidar)
+        yield
+        for step in range(10_000):
+            item.location.x = 0.01 * step
+            yield clocked(lambda: move(0.0))
+
+    return steps
+
+
+def ground(half_m=60.0, side=_SIDE):
     """Rough ground about the road, a little below it."""
-    x, y = np.meshgrid(np.linspace(-60.0, 60.0, _SIDE), np.linspace(-60.0, 60.0, _SIDE), indexing="ij")
-    corner = np.arange(_SIDE * _SIDE).reshape(_SIDE, _SIDE)
+    import bpy
+    import numpy as np
+
+    from blender_lidar.world.blender.objects import new_mesh
+
+    x, y = np.meshgrid(np.linspace(-half_m, half_m, side), np.linspace(-half_m, half_m, side), indexing="ij")
+    corner = np.arange(side * side).reshape(side, side)
     faces = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(-1, 4)
     vertices = np.stack([x, y, 0.1 * np.sin(x + 2.0 * y) - 0.05], axis=-1).reshape(-1, 3)
-    return bpy.data.objects.new("Ground", new_mesh("Ground", vertices, faces))
+    made = bpy.data.objects.new("Ground", new_mesh("Ground", vertices, faces))
+    bpy.context.scene.collection.objects.link(made)
+    return made
 
+
+def forest(count):
+    """Trees of 340 faces, scattered by geometry nodes along both sides of the road, always as densely."""
+    import bmesh
+    import bpy
+    import numpy as np
+    from mathutils import Matrix
+
+    shape, mesh = bmesh.new(), bpy.data.meshes.new("Tree")
+    bmesh.ops.create_icosphere(shape, subdivisions=3, radius=1.3, matrix=Matrix.Translation((0.0, 0.0, 3.2)))
+    trunk = Matrix.Translation((0.0, 0.0, 1.0))
+    bmesh.ops.create_cone(shape, segments=10, radius1=0.2, radius2=0.15, depth=2.0, matrix=trunk)
+    shape.to_mesh(mesh)
+    half = 0.5 * _FOREST_M * math.sqrt(count / _TREES)
+    places = np.random.default_rng(1).uniform(-half, half, (count, 3))
+    places[:, 1] += np.where(places[:, 1] > 0.0, _ROADSIDE_M[1], _ROADSIDE_M[0])
+    places[:, 2] = 0.0
+    points = bpy.data.meshes.new("Places")
+    points.vertices.add(count)
+    points.vertices.foreach_set("co", places.astype(np.float32).ravel())
+    scatter = bpy.data.objects.new("Forest", points)
+    bpy.context.scene.collection.objects.link(scatter)
+    tree = bpy.data.node_groups.new("Forest", "GeometryNodeTree")
+    for way in ("INPUT", "OUTPUT"):
+        if bpy.app.version < (4, 0):
+            getattr(tree, f"{way.lower()}s").new("NodeSocketGeometry", "Geometry")
+        else:
+            tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+    kinds = "NodeGroupInput", "GeometryNodeObjectInfo", "GeometryNodeInstanceOnPoints", "NodeGroupOutput"
+    into, info, on_points, out = map(tree.nodes.new, kinds)
+    info.inputs["Object"].default_value = bpy.data.objects.new("Tree", mesh)
+    info.inputs["As Instance"].default_value = True
+    tree.links.new(into.outputs[0], on_points.inputs["Points"])
+    tree.links.new(info.outputs["Geometry"], on_points.inputs["Instance"])
+    tree.links.new(on_points.outputs[0], out.inputs[0])
+    scatter.modifiers.new("Forest", "NODES").node_group = tree
+
+
+def taxed(asked):
+    """A case: what a large scene without a LiDAR pays, for each update or each redraw."""
+
+    def steps(_):
+        import bpy
+
+        from blender_lidar.addon import session
+
+        scene, layer, paid = bpy.context.scene, bpy.context.view_layer, []
+        for number in range(_HAY):
+            scene.collection.objects.link(bpy.data.objects.new(f"Straw {number}", None))
+        layer.update()
+        of_updates = bpy.app.handlers.depsgraph_update_post
+        ours = [call for call in of_updates if call.__module__.startswith("blender_lidar")]
+        of_updates.clear()
+        of_updates.append(lambda *event: paid.append(clocked(lambda: [call(*event) for call in ours])))
+        yield
+        for step in range(10_000):
+            if asked:
+                yield clocked(lambda: session.active_lidar(scene))
+            else:
+                scene.objects[0].location.x = step + 1.0
+                layer.update()
+                yield paid[-1]
+
+    return steps
+
+
+def played(site):
+    """A case: today's example is played with a live RS-16."""
+    import bpy
+
+    from blender_lidar.addon import live as module
+
+    scene = bpy.context.scene
+    live(load(HERE / "scenes" / site.name))
+    yield
+    for frame in range(scene.frame_start + 1, scene.frame_end):
+        yield clocked(lambda frame=frame: (scene.frame_set(frame), module.update()))
+
+
+CASES = {
+    "example, RS-16": (dragged("RS-16"), "ms", True),
+    "example, RS-80": (dragged("RS-80"), "ms", True),
+    "200,000 triangles, RS-16": (dragged("RS-16", ground), "ms", True),
+    "200,000 triangles, RS-80": (dragged("RS-80", ground), "ms", True),
+    "5,000 trees, RS-16": (dragged("RS-16", lambda: forest(5_000)), "ms", True),
+    "100,000 trees, RS-16": (dragged("RS-16", lambda: forest(100_000)), "ms", True),
+    "5,000 trees, an object moved": (beside_a_moving_object(lambda: forest(5_000)), "ms", True),
+    "100,000 trees, an object moved": (beside_a_moving_object(lambda: forest(100_000)), "ms", True),
+    "20,000 objects: handlers of an update": (taxed(asked=False), "ms", True),
+    "20,000 objects: active_lidar": (taxed(asked=True), "ms", True),
+    "example played, RS-16": (played, "frames/s", False),
+}
 
 if __name__ == "__main__":
     sys.exit(main())

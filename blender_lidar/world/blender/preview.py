@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import bpy
 import numpy as np
-from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from ..scenery import NO_LABEL
@@ -131,10 +130,10 @@ class VisibleObjects:
         self._of_face = np.concatenate([np.empty(0, np.int32), *(by_face[key] for key in used)])
         across = np.cross(turn[:, (1, 2, 0)], turn[:, (2, 0, 1)]).swapaxes(1, 2)
         self._back = across / np.einsum("ni,ni->n", turn[:, 0], across[:, :, 0])[:, None, None]  # the inverse
-        half = 0.5 * (self._box[:, 1] - self._box[:, 0])
-        corners = half[:, None] * ((1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1))  # no two of them opposite
+        half = 0.5 * (self._box[:, 1] - self._box[:, 0])[:, None] * ((1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1))
+        self._across = half[self._mesh] @ turn  # from the centre to corners, no two of them opposite
         self._centre = np.einsum("ni,nij->nj", self._box.mean(axis=1)[self._mesh], turn) + move
-        self._radius = np.sqrt(np.square(corners[self._mesh] @ turn).sum(axis=2).max(axis=1, initial=0.0))
+        self._radius = np.sqrt(np.square(self._across).sum(axis=2).max(axis=1, initial=0.0))
 
     @property
     def _what(self) -> tuple:
@@ -152,7 +151,7 @@ class VisibleObjects:
         rays, first = _ByDirection(directions) if len(near) else None, 0
         while first < len(near) and rays.keep(nearest > gap[near[first]]):
             some = near[first : first + _CHUNK]
-            which, ray, done = rays.towards(middle[some], self._radius[some])
+            which, ray, done = rays.towards(middle[some], self._across[some])
             self._cast(origin, directions, some, which, ray, (nearest, face, instance))
             first += done
         ray = np.flatnonzero(face >= 0)
@@ -166,29 +165,37 @@ class VisibleObjects:
     def _cast(self, origin, directions, some, which, ray, found) -> None:
         """Cast pairs of `some[which]` and `ray`, where the ray enters the box before what it has met, and keep it."""
         nearest, face, instance = found
-        along = np.einsum("ni,nij->nj", directions[ray], self._back[some[which]])
-        starts = np.einsum("ni,nij->nj", origin - self._move[some], self._back[some])
-        low, high = (self._box[self._mesh[some], side] - starts for side in (0, 1))
+        back = np.ascontiguousarray(self._back[some].transpose(1, 2, 0))
+        box = self._box[self._mesh[some]].transpose(1, 2, 0)
+        starts = np.einsum("in,ijn->jn", (origin - self._move[some]).T, back)
+        along = sum(directions.T[axis, ray] * np.take(back[axis], which, axis=1) for axis in range(3))
         with np.errstate(divide="ignore", invalid="ignore"):
-            walls = low[which] / along, high[which] / along
-        enter, leave = np.fmin(*walls).max(axis=1), np.fmax(*walls).min(axis=1)
-        kept = np.flatnonzero((leave >= np.maximum(enter, 0.0)) & (enter < nearest[ray]))
-        which, ray, along = which[kept], ray[kept], along[kept]
-        stretch = np.sqrt(np.square(along).sum(axis=1))  # lengths there over lengths in the scene
-        casts = [self._used[mesh].tree.ray_cast for mesh in self._mesh[some].tolist()]
-        pair, hit, distance = _cast(casts, starts, which, along, nearest[ray] * stretch)
-        distance /= stretch[pair]
-        order = np.argsort(-distance)  # the nearest of a ray is written last
-        pair, ray = pair[order], ray[pair[order]]
-        nearest[ray], face[ray], instance[ray] = distance[order], hit[order], some[which[pair]]
+            low, high = (np.take(wall - starts, which, axis=1) / along for wall in box)
+        enter, leave = np.fmin(low, high).max(axis=0), np.fmax(low, high).min(axis=0)
+        left = np.flatnonzero((leave >= np.maximum(enter, 0.0)) & (enter < nearest[ray]))
+        left = left[np.lexsort((enter[left], ray[left]))]
+        first = np.diff(ray[left], prepend=-1) > 0
+        for pairs in (left[first], left[~first]):  # most rays that meet anything meet the first that they enter
+            pairs = pairs[enter[pairs] < nearest[ray[pairs]]]
+            of = self._mesh[some[which[pairs]]]
+            for mesh in np.unique(of):
+                one = pairs[of == mesh]
+                there, away = starts[:, which[one]], along[:, one]
+                stretch = np.sqrt(np.square(away).sum(axis=0))  # lengths there over lengths in the scene
+                hit, number, distance = _cast(self._used[mesh].tree, there, away, nearest[ray[one]] * stretch)
+                distance /= stretch[hit]
+                order = np.argsort(-distance)  # the nearest of a ray is written last
+                one = one[hit[order]]
+                nearest[ray[one]], face[ray[one]] = distance[order], number[order]
+                instance[ray[one]] = some[which[one]]
 
 
 class _ByDirection:
-    """Rays from an origin, sorted by elevation and azimuth: those towards a sphere are found without looking at all."""
+    """Rays from an origin, sorted by elevation and azimuth: those towards a box are found without looking at all."""
 
     def __init__(self, directions):
-        self._directions = directions
-        self._edges = np.quantile(directions[:, 2], np.linspace(0.0, 1.0, _BANDS + 1)[1:-1])
+        self._all = len(directions)
+        self._edges = np.quantile(directions[::8, 2], np.linspace(0.0, 1.0, _BANDS + 1)[1:-1])
         band = np.searchsorted(self._edges, directions[:, 2], side="right")
         key = band * (2.0 * _TURN) + np.arctan2(directions[:, 1], directions[:, 0])
         self._ray = np.argsort(key)
@@ -200,32 +207,38 @@ class _ByDirection:
         self._ray, self._key = self._ray[kept], self._key[kept]
         return len(self._ray) > 0
 
-    def towards(self, middle, radius):
-        """Pairs (sphere, ray) of spheres with rays that pierce them, and of how many spheres, as pairs may be too many.
+    def towards(self, middle, across):
+        """Pairs (box, ray) of boxes with rays that may pierce them, and of how many boxes, as pairs may be too many.
 
-        `middle` (k, 3) is counted from the origin.
+        Each has its `middle` (k, 3) from the origin, and `across` (k, 4, 3) from there to corners, no two opposite.
         """
-        level, distance = np.hypot(middle[:, 0], middle[:, 1]), np.sqrt(np.square(middle).sum(axis=1))
-        within = distance <= radius
-        half = np.where(level > radius, np.arcsin(np.minimum(radius / np.maximum(level, 1e-9), 1.0)), np.pi)
-        rise, around = np.arctan2(middle[:, 2], level), np.arctan2(middle[:, 1], middle[:, 0])
-        slope = np.where(within, np.pi, np.arcsin(np.minimum(radius / np.maximum(distance, 1e-9), 1.0)))
-        low, high = (np.sin(np.clip(rise + side * slope, -0.5 * np.pi, 0.5 * np.pi)) for side in (-1.0, 1.0))
-        low, high = (np.searchsorted(self._edges, of, side="right") for of in (low, high))
-        bands, start = high - low + 1, (around - half + np.pi) % _TURN - np.pi
-        sphere = np.repeat(np.arange(len(middle)), bands)
+        x, y, z = (middle[:, None] + np.concatenate([across, -across], axis=1)).transpose(2, 0, 1)
+        around, level = np.arctan2(middle[:, 1], middle[:, 0]), np.hypot(middle[:, 0], middle[:, 1])
+        aside = (np.arctan2(y, x) - around[:, None] + np.pi) % _TURN - np.pi
+        first, last = aside.min(axis=1), aside.max(axis=1)
+        about = last - first > np.pi  # the origin is within, seen from above
+        first, last = np.where(about, -np.pi, first), np.where(about, np.pi, last)
+        nearest = np.maximum(level - np.hypot(across[..., 0], across[..., 1]).max(axis=1), 0.0)
+        low, high, farthest = z.min(axis=1), z.max(axis=1), np.hypot(x, y).max(axis=1)
+        low, high = (
+            np.searchsorted(self._edges, z / np.maximum(np.hypot(z, far), 1e-9), side="right")
+            for z, far in (
+                (low, np.where(low < 0.0, nearest, farthest)),
+                (high, np.where(high > 0.0, nearest, farthest)),
+            )
+        )
+        bands, start = high - low + 1, (around + first + np.pi) % _TURN - np.pi
+        box = np.repeat(np.arange(len(middle)), bands)
         whole = _ranges(low, bands) * (2.0 * _TURN)  # where each band begins
-        start, end = whole + start[sphere], whole + (start + 2.0 * half)[sphere]
-        start, end = np.searchsorted(self._key, [[start, whole - np.pi], [end, end - _TURN]])  # some reach beyond pi
-        sphere, start, count = np.tile(sphere, 2), start.ravel(), (end - start).ravel()
-        most = np.cumsum(np.bincount(sphere, count, len(middle)))
-        done = max(1, int(np.searchsorted(most, _PAIRS * len(self._directions), side="right")))
-        count[sphere >= done] = 0
-        sphere, ray = np.repeat(sphere, count), self._ray[_ranges(start, count)]
-        along = np.einsum("ij,ij->i", self._directions[ray], middle[sphere])
-        least = np.where(within, -np.inf, np.sqrt(np.abs(distance**2 - radius**2)))  # the length of the cone's side
-        pierced = along >= least[sphere]
-        return sphere[pierced], ray[pierced], done
+        start, end = whole + start[box], whole + (start + last - first)[box]
+        over = np.flatnonzero(end > whole + np.pi)  # reach beyond azimuth pi
+        start = np.searchsorted(self._key, np.concatenate([start, whole[over] - np.pi]))
+        end = np.searchsorted(self._key, np.concatenate([end, end[over] - _TURN]))
+        box, count = np.concatenate([box, box[over]]), end - start
+        most = np.cumsum(np.bincount(box, count, len(middle)))
+        done = max(1, int(np.searchsorted(most, _PAIRS * self._all, side="right")))
+        count[box >= done] = 0
+        return np.repeat(box, count), self._ray[_ranges(start, count)], done
 
 
 def _ranges(start, count):
@@ -233,15 +246,13 @@ def _ranges(start, count):
     return np.arange(count.sum()) + np.repeat(start - np.cumsum(count) + count, count)
 
 
-def _cast(casts, origins, which, directions, reach):
-    """Rows of rays that meet a face, its number, how far along [local units]; `which` tree and origin each has."""
-    of, origins = which.tolist(), [Vector(origin) for origin in origins.tolist()]
-    rays = zip(*map(memoryview, np.ascontiguousarray(directions.T)), strict=True)
-    each = zip(map(casts.__getitem__, of), map(origins.__getitem__, of), rays, reach.tolist(), strict=True)
+def _cast(tree, origins, directions, reach):
+    """Rows of rays that meet a face, its number, and how far along [local units]; (3, n) each, of any length."""
+    starts, rays = (zip(*map(memoryview, np.ascontiguousarray(of)), strict=True) for of in (origins, directions))
     collecting = gc.isenabled()
     gc.disable()  # its sweeps would come often, for so many small objects
     try:
-        hits = enumerate(cast(origin, ray, most) for cast, origin, ray, most in each)
+        hits = enumerate(map(tree.ray_cast, starts, rays, reach.tolist()))
         found = [(row, face, distance) for row, (_, _, face, distance) in hits if face is not None]
     finally:
         if collecting:
