@@ -5,7 +5,6 @@ Exact is what `site.open_scenery` gives; here a ray now and then slips between t
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -26,74 +25,55 @@ _PAD = 1e-4  # of a mesh's size, by which boxes and spheres are wider: rounding 
 
 
 class _Mesh(NamedTuple):
-    """A mesh: Blender's tree, surface (m,) and normal (m, 3) of its faces, which are its polygons or triangles, its box
-    (2, 3), and the data-blocks that it comes of."""
+    """A mesh: Blender's tree, its faces' surface (m,) and normal (m, 3), its box (2, 3), and what it comes of."""
 
     tree: BVHTree
     surface: np.ndarray
     normal: np.ndarray
     box: np.ndarray
-    polygons: bool
+    polygons: bool  # its faces are, else triangles
     blocks: frozenset[tuple]
 
 
 class VisibleObjects:
-    """Visible objects of the user's, as a live preview meets them: rays are taken to the space of each mesh.
+    """Visible objects of the user's, as a live preview meets them: rays are taken to each mesh's space.
 
-    It stands in for `casting.protocol.StandingScenery` where clouds are looked at live (`clouds.live`). What the last
-    `refresh` saw is kept until it is told of a change. Handlers of `depsgraph_update_post` and `frame_change_post` give
-    `heed` their `depsgraph.updates`; it calls `moved` and `forget`. After undo and redo, in another file and for other
-    labels they call `forget` themselves.
+    It stands in for `casting.protocol.StandingScenery` where clouds are looked at live (`clouds.live`). What was seen
+    is kept until it is told of a change: handlers of `depsgraph_update_post` and `frame_change_post` give `heed` their
+    `depsgraph.updates`, and those of undo, other files and other labels call `forget`.
     """
 
     def __init__(self) -> None:
         self._meshes: dict[tuple, _Mesh] = {}
         self._seen: object = None  # road frame and view layer of the last walk; None when there must be another
-        self._version = 0
+        self.state = 0  # rises whenever other meshes stand there, or elsewhere, than were seen before
         self._place([], np.empty((0, 3, 3)), np.empty((0, 3)), {})
 
-    @property
-    def state(self) -> int:
-        """A number that rises whenever other meshes stand there, or elsewhere, than were seen before."""
-        return self._version
-
     def heed(self, updates: Iterable[bpy.types.DepsgraphUpdate]) -> None:
-        """Take note of what Blender has evaluated again, unless it is ours and nothing else.
-
-        It tells of what was hidden, shown, added or removed as an update of the scene.
-        """
+        """Take note of what Blender has evaluated again: the scene, where anything was hidden, added or removed."""
         changed = []
         for update in updates:
             block = update.id
             if update.is_updated_geometry or isinstance(block, bpy.types.Material):
                 changed.append(block.original)
-            if isinstance(block, bpy.types.Object) and block.type in _WITHOUT_SHAPE and not block.is_instancer:
-                continue
-            if isinstance(block, _PLACING) and role(block) is None:
-                self.moved()
+            shapeless = getattr(block, "type", "") in _WITHOUT_SHAPE and not block.is_instancer
+            if isinstance(block, _PLACING) and role(block) is None and not shapeless:
+                self._seen = None
         self.forget(changed)
 
-    def moved(self) -> None:
-        """Walk the instances again at the next `refresh`: something of the user's has moved, come, gone or changed."""
-        self._seen = None
-
     def forget(self, blocks: Iterable[bpy.types.ID] | None = None) -> None:
-        """Drop the trees of original objects, meshes and materials with new geometry or surface; all when None."""
-        changed = None if blocks is None else set(map(_uid, blocks))
-        gone = [key for key, mesh in self._meshes.items() if changed is None or mesh.blocks & changed]
-        for key in gone:
-            del self._meshes[key]
-        if gone or changed is None:
-            self._version += 1
-            self.moved()
+        """Drop the trees of original objects, meshes and materials with another shape or surface; all when None."""
+        changed = set(map(_uid, blocks or ()))
+        kept = {key: of for key, of in self._meshes.items() if blocks is not None and not of.blocks & changed}
+        if blocks is None or len(kept) < len(self._meshes):
+            self._meshes, self.state, self._seen = kept, self.state + 1, None
 
     def refresh(self, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         """Look where the visible objects of a scene are now, evaluated just before, if anything has changed."""
-        road, shown = to_road(scene, depsgraph).tolist(), (depsgraph.view_layer.name, depsgraph.mode)
-        seen = road, scene.unit_settings.scale_length, shown
-        if seen != self._seen:
+        seen = to_road(scene, depsgraph).tolist(), scene.unit_settings.scale_length, depsgraph.mode
+        if self._seen != (*seen, depsgraph.view_layer.name):
             self._walk(scene, depsgraph)
-            self._seen = seen
+            self._seen = *seen, depsgraph.view_layer.name
 
     def _walk(self, scene, depsgraph) -> None:
         """Look at every instance."""
@@ -115,7 +95,7 @@ class VisibleObjects:
         solid = np.abs(np.linalg.det(turn)) > 0.0
         rows = [row for row, (mesh, _) in enumerate(taken) if solid[row] and len(mesh.surface)]
         self._place([taken[row] for row in rows], turn[rows], move[rows], by_face)
-        self._version += not all(map(np.array_equal, before, self._what))
+        self.state += not all(map(np.array_equal, before, self._what))
 
     def _place(self, taken, turn, move, by_face) -> None:
         """Keep a table of instances: the mesh and label of each, what takes points to it and back, its sphere."""
@@ -128,17 +108,13 @@ class VisibleObjects:
         self._surface = np.concatenate([np.empty(0, np.uint8), *(mesh.surface for mesh in self._used)])
         self._normal = np.concatenate([np.empty((0, 3)), *(mesh.normal for mesh in self._used)])
         self._of_face = np.concatenate([np.empty(0, np.int32), *(by_face[key] for key in used)])
-        across = np.cross(turn[:, (1, 2, 0)], turn[:, (2, 0, 1)]).swapaxes(1, 2)
-        self._back = across / np.einsum("ni,ni->n", turn[:, 0], across[:, :, 0])[:, None, None]  # the inverse
+        cofactor = np.cross(turn[:, (1, 2, 0)], turn[:, (2, 0, 1)]).swapaxes(1, 2)
+        self._back = cofactor / np.einsum("ni,ni->n", turn[:, 0], cofactor[:, :, 0])[:, None, None]  # the inverse
         half = 0.5 * (self._box[:, 1] - self._box[:, 0])[:, None] * ((1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1))
         self._across = half[self._mesh] @ turn  # from the centre to corners, no two of them opposite
         self._centre = np.einsum("ni,nij->nj", self._box.mean(axis=1)[self._mesh], turn) + move
         self._radius = np.sqrt(np.square(self._across).sum(axis=2).max(axis=1, initial=0.0))
-
-    @property
-    def _what(self) -> tuple:
-        """What of the table others may see."""
-        return [id(mesh.tree) for mesh in self._used], self._mesh, self._turn, self._move, self._label, self._of_face
+        self._what = list(used), self._mesh, turn, move, self._label, self._of_face  # as others see it
 
     def met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
         """As `StandingScenery.met`, in chunks of instances from near to far, without rays that have met something."""
@@ -174,20 +150,20 @@ class VisibleObjects:
         enter, leave = np.fmin(low, high).max(axis=0), np.fmax(low, high).min(axis=0)
         left = np.flatnonzero((leave >= np.maximum(enter, 0.0)) & (enter < nearest[ray]))
         left = left[np.lexsort((enter[left], ray[left]))]
-        first = np.diff(ray[left], prepend=-1) > 0
-        for pairs in (left[first], left[~first]):  # most rays that meet anything meet the first that they enter
-            pairs = pairs[enter[pairs] < nearest[ray[pairs]]]
-            of = self._mesh[some[which[pairs]]]
-            for mesh in np.unique(of):
-                one = pairs[of == mesh]
-                there, away = starts[:, which[one]], along[:, one]
-                stretch = np.sqrt(np.square(away).sum(axis=0))  # lengths there over lengths in the scene
-                hit, number, distance = _cast(self._used[mesh].tree, there, away, nearest[ray[one]] * stretch)
-                distance /= stretch[hit]
-                order = np.argsort(-distance)  # the nearest of a ray is written last
-                one = one[hit[order]]
-                nearest[ray[one]], face[ray[one]] = distance[order], number[order]
-                instance[ray[one]] = some[which[one]]
+        later = np.diff(ray[left], prepend=-1) == 0  # most rays that meet anything meet the first that they enter
+        of = self._mesh[some[which[left]]] + len(self._used) * later
+        for mesh in np.unique(of):
+            one = left[of == mesh]
+            one = one[enter[one] < nearest[ray[one]]]
+            stretch = np.sqrt(np.square(along[:, one]).sum(axis=0))  # lengths there over lengths in the scene
+            reach = nearest[ray[one]] * stretch
+            hit, number, distance = _cast(
+                self._used[mesh % len(self._used)].tree, starts[:, which[one]], along[:, one], reach
+            )
+            order = np.argsort(-distance / stretch[hit])  # the nearest of a ray is written last
+            hit, at = hit[order], one[hit[order]]
+            nearest[ray[at]], face[ray[at]] = distance[order] / stretch[hit], number[order]
+            instance[ray[at]] = some[which[at]]
 
 
 class _ByDirection:
@@ -219,14 +195,9 @@ class _ByDirection:
         about = last - first > np.pi  # the origin is within, seen from above
         first, last = np.where(about, -np.pi, first), np.where(about, np.pi, last)
         nearest = np.maximum(level - np.hypot(across[..., 0], across[..., 1]).max(axis=1), 0.0)
-        low, high, farthest = z.min(axis=1), z.max(axis=1), np.hypot(x, y).max(axis=1)
-        low, high = (
-            np.searchsorted(self._edges, z / np.maximum(np.hypot(z, far), 1e-9), side="right")
-            for z, far in (
-                (low, np.where(low < 0.0, nearest, farthest)),
-                (high, np.where(high > 0.0, nearest, farthest)),
-            )
-        )
+        ends, farthest = np.stack([z.min(axis=1), z.max(axis=1)]), np.hypot(x, y).max(axis=1)
+        beside = np.where((ends < 0.0) == [[True], [False]], nearest, farthest)  # where they are lowest and highest
+        low, high = np.searchsorted(self._edges, ends / np.maximum(np.hypot(ends, beside), 1e-9), side="right")
         bands, start = high - low + 1, (around + first + np.pi) % _TURN - np.pi
         box = np.repeat(np.arange(len(middle)), bands)
         whole = _ranges(low, bands) * (2.0 * _TURN)  # where each band begins
@@ -249,14 +220,8 @@ def _ranges(start, count):
 def _cast(tree, origins, directions, reach):
     """Rows of rays that meet a face, its number, and how far along [local units]; (3, n) each, of any length."""
     starts, rays = (zip(*map(memoryview, np.ascontiguousarray(of)), strict=True) for of in (origins, directions))
-    collecting = gc.isenabled()
-    gc.disable()  # its sweeps would come often, for so many small objects
-    try:
-        hits = enumerate(map(tree.ray_cast, starts, rays, reach.tolist()))
-        found = [(row, face, distance) for row, (_, _, face, distance) in hits if face is not None]
-    finally:
-        if collecting:
-            gc.enable()
+    hits = enumerate(map(tree.ray_cast, starts, rays, reach.tolist()))
+    found = [(row, face, distance) for row, (_, _, face, distance) in hits if face is not None]
     row, face, distance = np.array(found, dtype=float).reshape(-1, 3).T
     return row.astype(np.int64), face.astype(np.int64), distance
 
