@@ -1,8 +1,7 @@
-"""Time live updates and their kin in two commits of this repository side by side: NumPy alone, caster bvh.
+"""Time live updates in two commits of this repository side by side: NumPy alone, caster bvh.
 
-An update is all that happens after a LiDAR has moved: Blender evaluates, the add-on's handlers take note of it, and
-`live.update()` casts, scores and colours. Redraws are left out, except for what they ask of the add-on. Each case runs
-in processes of its own, in turn with the one commit and the other; a row gives median and 95 % quantile.
+An update is all that happens after a LiDAR has moved: Blender evaluates, the add-on takes note, and `live.update()`
+casts, scores and colours; redraws are left out. Each case runs in processes of its own, with either commit in turn.
 
     python scripts/research/benchmark_live.py                              with the module bpy
     python scripts/research/benchmark_live.py --blender blender            with a Blender
@@ -169,35 +168,20 @@ def live(lidar, sensor="RS-16"):
     return move
 
 
-def dragged(sensor, furnish=lambda: None):
-    """A case: the example's LiDAR is dragged along the road."""
+def dragged(sensor, furnish=lambda: None, *, other=False):
+    """A case: the example's LiDAR is dragged along the road, or stays while an `other` object, the user's, moves."""
 
     def steps(site):
-        lidar = load(site)
+        lidar, item = load(site), ground(1.0, 8) if other else None
         furnish()
         move = live(lidar, sensor)
         move(-0.5 * _DRAG_M)
         yield
-        while True:
-            for step in range(_STEPS):
-                yield clocked(lambda x=_DRAG_M * (step / (_STEPS - 1) - 0.5): move(x))
-
-    return steps
-
-
-def beside_a_moving_object(furnish):
-    """A case: the LiDAR stays, and an object of the user's moves."""
-
-    def steps(site):
-
-        lidar = load(site)
-        furnish()
-        item = ground(1.0, 8)
-        move = live(lidar)
-        yield
         for step in range(10_000):
-            item.location.x = 0.01 * step
-            yield clocked(lambda: move(0.0))
+            x = _DRAG_M * (step % _STEPS / (_STEPS - 1) - 0.5)
+            if other:
+                item.location.x = 0.1 * x
+            yield clocked(lambda x=x: move(0.0 if other else x))
 
     return steps
 
@@ -303,8 +287,8 @@ CASES = {
     "200,000 triangles, RS-80": (dragged("RS-80", ground), "ms", True),
     "5,000 trees, RS-16": (dragged("RS-16", lambda: forest(5_000)), "ms", True),
     "100,000 trees, RS-16": (dragged("RS-16", lambda: forest(100_000)), "ms", True),
-    "5,000 trees, an object moved": (beside_a_moving_object(lambda: forest(5_000)), "ms", True),
-    "100,000 trees, an object moved": (beside_a_moving_object(lambda: forest(100_000)), "ms", True),
+    "5,000 trees, an object moved": (dragged("RS-16", lambda: forest(5_000), other=True), "ms", True),
+    "100,000 trees, an object moved": (dragged("RS-16", lambda: forest(100_000), other=True), "ms", True),
     "20,000 objects: handlers of an update": (taxed(asked=False), "ms", True),
     "20,000 objects: active_lidar": (taxed(asked=True), "ms", True),
     "example played, RS-16": (played, "frames/s", False),
