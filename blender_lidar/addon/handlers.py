@@ -37,7 +37,8 @@ def on_history(*_) -> None:
 def on_update(scene, depsgraph=None, *_) -> None:
     """Keep the LiDARs among what Blender has evaluated again; complete and select them at the next moment."""
     known = {row.lidar for row in scene.blender_lidar.lidars}
-    ids = [] if depsgraph is None else [change.id for change in depsgraph.updates]
+    told = depsgraph is not None and depsgraph.id_type_updated("SCENE")  # also of what is new; others are many
+    ids = [change.id for change in depsgraph.updates] if told else []
     new = {item.original for item in ids if isinstance(item, bpy.types.Object) and is_lidar(item)} - known
     new = {one for one in new if holds(scene, one)}
     if new:

@@ -10,7 +10,7 @@ import math
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import wraps
+from functools import lru_cache, wraps
 from typing import NamedTuple, get_args, get_origin
 
 import bpy
@@ -224,7 +224,12 @@ class Kept(NamedTuple):
 
 def kept_of(group: bpy.types.PropertyGroup) -> Kept:
     """What a scene's or a LiDAR's group was filled with."""
-    return Kept(**json.loads(group.kept)) if group.kept else Kept({}, "", {})
+    return _kept_in(group.kept) if group.kept else Kept({}, "", {})
+
+
+@lru_cache(maxsize=64)
+def _kept_in(text):
+    return Kept(**json.loads(text))
 
 
 def keep_tables(group: bpy.types.PropertyGroup, tables: dict, folder: str, fields: dict) -> None:

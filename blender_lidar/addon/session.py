@@ -34,7 +34,7 @@ from ..scene.site import observation_of, read_recordings, scoring_of, standing_s
 from ..sensors.model import model_names
 from ..traffic import Recording, Vehicles, joined_recordings
 from ..traffic.vehicles import SAME_S, no_vehicles
-from ..world.blender.objects import holds, is_lidar, pose_of
+from ..world.blender.objects import holds, is_lidar
 from ..world.blender.road import ground_of, hidden_ground
 from ..world.blender.site import open_scenery
 from . import properties
@@ -584,7 +584,7 @@ def store(lidar: bpy.types.Object, vehicles: Vehicles, look: Look, baseline: Loo
         return
     group.points, group.scanned_frame = len(look.cloud), vehicles.frame
     group.scanned_s = since_of(properties.scene_of(lidar))
-    group.scanned_at = list(pose_of(lidar).as_table().values())
+    group.scanned_at = list(look.pose.as_table().values())
     group.vehicles = 0 if look.scored is None else look.scored.values.shape[1]
     for scored, objective, share in (
         (look.scored, "objective", "detectable_share"),

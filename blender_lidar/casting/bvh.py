@@ -40,7 +40,7 @@ class BvhCaster(TreeCaster):
             # Tuples are parsed faster than Vectors are made, and made fastest of buffers.
             rays = zip(*map(memoryview, np.ascontiguousarray(directions.T)), strict=True)
             met = list(map(_triangle_of, map(self._tree.ray_cast, starts, rays, repeat(float(reach)))))
-        return np.array([MISS if index is None else index for index in met], dtype=np.int64)
+        return np.nan_to_num(np.array(met, dtype=float), nan=MISS).astype(np.int64)  # None becomes NaN
 
 
 def _tree_of_mesh(corners):

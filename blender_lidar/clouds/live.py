@@ -87,7 +87,8 @@ class LiveFrame:
         for beam, distance, *_ in turn.standing:
             nearest[beam] = np.minimum(nearest[beam], distance)
         shown = hits.distance <= nearest[hits.beam]
-        look = Look(self._scan.cloud(pose, turn), None, pose, Revolution(*(column[..., shown] for column in hits)))
+        hits = hits if shown.all() else Revolution(*(column[..., shown] for column in hits))
+        look = Look(self._scan.cloud(pose, turn), None, pose, hits)
         return look if self._scores is None else look._replace(scored=self._scores.of([look]))
 
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from ..casting.culling import cut_vehicles, revolutions
-from ..casting.protocol import Revolution, dot
+from ..casting.protocol import Revolution, dot, take
 from ..errors import InputError
 from ..scene.observation import Observation
 from ..scoring.frame_scorer import FrameShapes
+from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
 from ..traffic.vehicles import CLASSES, Vehicles
 from ..world.meshes import GLASS, REFLECTIVITY, ROAD
@@ -147,7 +149,8 @@ class FrameScan:
     def cloud(self, pose: Pose, turn: Turn) -> PointCloud:
         """What a mounting measures of what its beams met."""
         seen, shapes, vehicles, directions = self._seen, self._shapes, self._vehicles, turn.directions
-        met = [np.full(len(directions), value) for value in (np.inf, STATIC, ROAD, 1.0, NO_LABEL)]  # by beam, so far
+        kinds = (np.inf, float), (STATIC, np.int32), (ROAD, np.uint8), (1.0, float), (NO_LABEL, np.int32)
+        met = [np.full(len(directions), value, kind) for value, kind in kinds]  # by beam, so far
         distance, owner, surface, cosine, label = met
 
         def meet(beam, *found):
@@ -165,26 +168,35 @@ class FrameScan:
             down = -directions[:, 2]
             with np.errstate(divide="ignore", over="ignore"):
                 to_ground = np.where(down > 0.0, pose.height_m / down, np.inf)
-            first = (to_ground < distance) & (to_ground <= self._reach_m)
+            first = np.flatnonzero((to_ground < distance) & (to_ground <= self._reach_m))
             meet(first, to_ground[first], STATIC, ROAD, down[first], NO_LABEL)
 
         every = np.arange(len(distance))
-        measured = self._model.measured(every, distance, surface == GLASS, REFLECTIVITY[surface], cosine)
+        made_of = (surface == GLASS, REFLECTIVITY[surface], cosine) if self._model.asks_for_surface else ()
+        measured = self._model.measured(every, distance, *made_of)
         kept = np.flatnonzero(measured < np.inf)
-        ring, slot = np.divmod(kept, seen.lattice.columns)
+        distance, owner, surface, cosine, label = (take(column, kept) for column in met)
+        range_m, (ring, azimuth_rad, time_s) = take(measured, kept), _beams_of(seen.lattice)
         return PointCloud(
-            xyz=pose.position + measured[kept, None] * directions[kept],  # Eqs. 2 and 3
-            range_m=measured[kept],
-            ring=ring.astype(np.uint16),
-            azimuth_rad=seen.lattice.azimuth_rad(ring, slot),
-            time_s=seen.lattice.time_s(ring, slot),
-            vehicle_id=np.append(vehicles.vehicle_id, STATIC)[owner[kept]],  # the last, where it is no vehicle
-            class_index=np.append(vehicles.class_index, np.int8(NO_CLASS))[owner[kept]],
-            incidence_rad=np.arccos(np.clip(cosine[kept], 0.0, 1.0)),
-            intensity=REFLECTIVITY[surface[kept]] * cosine[kept] * _fall(distance[kept]),
+            xyz=pose.position + (range_m * take(directions.T, kept, axis=1)).T,  # Eqs. 2 and 3
+            range_m=range_m,
+            ring=take(ring, kept),
+            azimuth_rad=take(azimuth_rad, kept),
+            time_s=take(time_s, kept),
+            vehicle_id=np.append(vehicles.vehicle_id, STATIC)[owner],  # the last, where it is no vehicle
+            class_index=np.append(vehicles.class_index, np.int8(NO_CLASS))[owner],
+            incidence_rad=np.arccos(np.clip(cosine, 0.0, 1.0)),
+            intensity=REFLECTIVITY[surface] * cosine * _fall(distance),
             lidar=np.zeros(len(kept), dtype=np.uint8),
-            label=label[kept].astype(np.int32),
+            label=label,
         )
+
+
+@lru_cache(maxsize=8)
+def _beams_of(lattice: BeamLattice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ring, azimuth [rad] and time [s] of all beams of a lattice, by their flat index."""
+    ring, slot = np.divmod(np.arange(lattice.rings * lattice.columns), lattice.columns)
+    return ring.astype(np.uint16), lattice.azimuth_rad(ring, slot), lattice.time_s(ring, slot)
 
 
 def scan(vehicles: Vehicles, observation: Observation, pose: Pose, *, ground: bool = True) -> PointCloud:
