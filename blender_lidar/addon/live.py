@@ -24,7 +24,7 @@ from ..scene.mount_checks import check_mount_is_clear
 from ..scene.scenario import Scenario
 from ..traffic.vehicles import Vehicles
 from ..world.blender.objects import check_local, frame_of
-from ..world.blender.points import STYLES, cloud_of, colour_cloud, colours_by, colours_of, set_style, show_cloud
+from ..world.blender.points import STYLES, cloud_of, colours_by, colours_of, set_look, set_style, show_cloud
 from ..world.blender.preview import VisibleObjects
 from . import properties, session
 from .preferences import preference
@@ -454,7 +454,7 @@ def on_change(block: bpy.types.ID, table: str) -> None:
             set_style(cloud, block.blender_lidar.style)
         block.blender_lidar.colour_by = STYLES[block.blender_lidar.style][0]
     elif cloud is not None:
-        colour_cloud(cloud, block.blender_lidar.colour_by)
+        set_look(cloud, {"Color By": block.blender_lidar.colour_by})
     _soon()
 
 

@@ -45,9 +45,8 @@ def ramp_of(tree, value, colours):
 
 def light_nothing(material):
     """Let Cycles not look for light from what shines only to be seen: it would make noise and take time."""
-    cycles = getattr(material, "cycles", None)  # of its add-on
-    if hasattr(cycles, "emission_sampling"):
-        cycles.emission_sampling = "NONE"
-    elif cycles is not None:  # before Blender 3.5
-        cycles.sample_as_light = False
+    settings = getattr(material, "cycles", None)  # of Cycles' add-on; the second one before Blender 3.5
+    for name, value in (("emission_sampling", "NONE"), ("sample_as_light", False)):
+        if hasattr(settings, name):
+            setattr(settings, name, value)
     return material

@@ -95,28 +95,18 @@ def show_cloud(
         item.hide_select = True
         only_for_the_eye(item)
         item.modifiers.new("Look", "NODES")
-        _hide_outlines()
+        for area in (area for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"):
+            area.spaces.active.shading.show_object_outline = False  # which covers points in solid views
     elif item.data.users > 1:  # of a LiDAR that was duplicated with its cloud linked
         item.data = item.data.copy()
     write_cloud(item.data, points)
     groups = [one.node_group for one in item.modifiers if one.type == "NODES"]
     if any(group is None or role(group) == _OLD_GROUP for group in groups):
         set_style(item, style)
-        colour_cloud(item, colour_by)
+        set_look(item, {"Color By": colour_by})
     item.parent = lidar  # whose frame is another than that of the vertices
     item.matrix_parent_inverse = matrix_of(lidar).inverted_safe()
     return item
-
-
-def _hide_outlines():
-    """Let views draw no outlines of objects: in solid mode they cover points, which are hardly larger."""
-    for area in (area for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"):
-        area.spaces.active.shading.show_object_outline = False
-
-
-def colour_cloud(cloud: bpy.types.Object, name: str) -> None:
-    """Colour a cloud by another one of its attributes, as `colours_by` does."""
-    set_look(cloud, {"Color By": name})
 
 
 def cloud_of(lidar: bpy.types.Object) -> bpy.types.Object | None:
@@ -188,16 +178,12 @@ def _inputs(group):
     return [one for one in group.interface.items_tree if one.item_type == "SOCKET" and one.in_out == "INPUT"]
 
 
-def _socket(group, kind, name, value=None, direction="INPUT"):
+def _socket(group, kind, name, direction="INPUT"):
     """A socket of the group's own."""
-    kind = f"NodeSocket{kind}"
     if hasattr(group, "interface"):
-        made = group.interface.new_socket(name=name, in_out=direction, socket_type=kind)
+        group.interface.new_socket(name=name, in_out=direction, socket_type=f"NodeSocket{kind}")
     else:
-        made = (group.inputs if direction == "INPUT" else group.outputs).new(kind, name)
-    if value is not None:
-        made.default_value = value
-    return made
+        (group.inputs if direction == "INPUT" else group.outputs).new(f"NodeSocket{kind}", name)
 
 
 def _material(name: str, strength: float = 1.0) -> bpy.types.Material:
@@ -219,8 +205,8 @@ def _material(name: str, strength: float = 1.0) -> bpy.types.Material:
 def _styled(style):
     """The node group of a style: that of all, with other values of its inputs."""
     colour_by, radius_m, strength, told = STYLES[style]
-    own = {"Color By": colour_by, "Radius": radius_m}
-    own["Material"] = _material(_MATERIAL if style == "Points" else style, strength)
+    material = _material(_MATERIAL if style == "Points" else style, strength)
+    own = {"Material": material, "Color By": colour_by, "Radius": radius_m, "Range To": 1e6}
     group = _points() if style == "Points" else made_once(bpy.data.node_groups, "style Points", _points).copy()
     for one in _inputs(group):
         if one.name in own:
@@ -264,15 +250,9 @@ def _colours(tree, shown, by):
 def _points() -> bpy.types.NodeTree:
     """The node group that shows vertices, or points of a point cloud, in the colours of one of their attributes."""
     tree = bpy.data.node_groups.new(_GROUP, "GeometryNodeTree")
-    for kind, name, value in (
-        ("Geometry", "Geometry", None),
-        ("Material", "Material", None),
-        ("Float", "Radius", 0.0),
-        ("String", "Color By", ""),
-        ("Float", "Range From", 0.0),
-        ("Float", "Range To", 1e6),
-    ):
-        _socket(tree, kind, name, value)
+    numbers = dict.fromkeys(("Radius", "Range From", "Range To"), "Float")
+    for name, kind in {"Geometry": "Geometry", "Material": "Material", "Color By": "String", **numbers}.items():
+        _socket(tree, kind, name)
     _socket(tree, "Geometry", "Geometry", direction="OUTPUT")
     if hasattr(tree, "is_modifier"):
         tree.is_modifier = True

@@ -189,22 +189,19 @@ def show_points_alone(scene: bpy.types.Scene, caption: str) -> None:
 
 def join_pictures(path: str | Path, rows: Sequence[Sequence[Path]]) -> None:
     """One PNG file of several pictures of a size, in rows."""
-    pixels = []
-    for picture in [picture for row in rows for picture in row]:
+
+    def pixels(picture):
         image = bpy.data.images.load(str(picture))
-        width, height = image.size
-        pixels.append(np.empty((height, width, 4), np.float32))
-        image.pixels.foreach_get(pixels[-1].ravel())
-        bpy.data.images.remove(image)
-    columns = len(rows[0])
-    across = [np.concatenate(pixels[at : at + columns], axis=1) for at in range(0, len(pixels), columns)]
-    joined = np.concatenate(across[::-1])  # images begin at the bottom
+        found = np.empty((image.size[1], image.size[0], 4), np.float32)
+        image.pixels.foreach_get(found.ravel())
+        return found
+
+    joined = np.concatenate([np.concatenate(list(map(pixels, row)), axis=1) for row in rows[::-1]])  # from the bottom
     image = bpy.data.images.new("Joined", joined.shape[1], joined.shape[0])
     image.pixels.foreach_set(joined.ravel())
-    with tempfile.TemporaryDirectory(prefix="blender_lidar-") as folder:
-        image.filepath_raw, image.file_format = str(Path(folder) / "picture.png"), "PNG"
+    with whole_file(path) as temporary:
+        image.filepath_raw, image.file_format = str(temporary.resolve()), "PNG"
         image.save()
-        write_bytes(path, Path(image.filepath_raw).read_bytes())
 
 
 def _settings(scene, size, samples):
