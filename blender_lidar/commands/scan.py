@@ -200,10 +200,8 @@ def run_render(args: argparse.Namespace) -> int:
     detections = {name: _detections(path, layouts[name]) for name, path in _detected_files(args.detections).items()}
     number = _fullest_frame(run, args.detections, detections["optimised"]) if args.frame is None else args.frame
     vehicles = frame_of(recording, number, "--frame")
-    written, views = (
-        [],
-        [view for view in RENDER_VIEWS if args.style in ("both", "points" if view == "points" else "day")],
-    )
+    views = [view for view in RENDER_VIEWS if args.style in ("both", "points" if view == "points" else "day")]
+    written = []
     captions = [f"{name}: {text}" for name, text, _ in sides(run.result)]
     with run.locked(), closing(Progress(len(layouts) * len(views), "render")) as progress:
         for (name, layout), caption in zip(layouts.items(), captions, strict=True):
