@@ -158,7 +158,7 @@ def test_a_bake_that_is_cancelled_or_refused_leaves_whole_files_and_the_frame(sc
     lidar.keyframe_insert("location", frame=3)
     lidar.location.y = 0.0
     lidar.keyframe_insert("location", frame=2)
-    with pytest.raises(RuntimeError, match=r"Error: frame 3: .*carriageway"):
+    with pytest.raises(RuntimeError, match=r"Error: LiDAR, frame 3: .*carriageway"):
         bpy.ops.blender_lidar.bake()
     assert scene.frame_current_final == 2.0
     assert set(baking.files_of(lidar)) == {1, 2}
@@ -280,6 +280,12 @@ def test_the_script_bakes_what_the_window_bakes_and_goes_on_from_there(scene, tm
     assert {path: after[path] for path in before} == before
     assert len(after) == 8
     assert run("none.blend", folder=tmp_path) == (2, ["blender-lidar: none.blend: there is no such file"])
+
+
+def test_a_lidar_that_renders_hide_is_left_out(scene):
+    first, second = lidars(scene)
+    second.hide_render = True
+    assert {path.parent.name for path in bake(scene)} == {first.name}
 
 
 def test_headers_say_what_made_a_cloud(scene):

@@ -54,7 +54,7 @@ def files_of(lidar: bpy.types.Object) -> dict[int, Path]:
 
 
 def steps(scene: bpy.types.Scene) -> Iterator[str]:
-    """Bake every LiDAR of a scene over the frames that its settings say: yields a line at first and for each cloud.
+    """Bake the LiDARs of a scene that renders show over the frames that its settings say: yields a line at first and for each cloud.
 
     At the end, however it comes, the scene is at the frame that it was at.
 
@@ -63,12 +63,8 @@ def steps(scene: bpy.types.Scene) -> Iterator[str]:
     BlenderLidarError
         For a file that was never saved, no LiDAR, no frame, and where Scan refuses, with the frame.
     """
-    group, hung, before, uid = (
-        scene.blender_lidar,
-        session.lidars_of(scene),
-        scene.frame_current_final,
-        session.uid_of(scene),
-    )
+    group, before, uid = scene.blender_lidar, scene.frame_current_final, session.uid_of(scene)
+    hung = [one for one in session.lidars_of(scene) if not one.hide_render]
     first, last = group.bake_frames if group.bake_own else (scene.frame_start, scene.frame_end)
     frames, folders = range(first, last + 1, group.bake_step), {_folder_named(one).casefold() for one in hung}
     if _work or not bpy.data.filepath:
@@ -90,7 +86,7 @@ def steps(scene: bpy.types.Scene) -> Iterator[str]:
             try:
                 made = [_bake(scene, one) for one in found]  # none where it was deleted meanwhile
             except BlenderLidarError as error:
-                raise InputError(f"frame {frame}: {' '.join(str(error).split())}") from error
+                raise InputError(f"{found[0].name}, frame {frame}: {' '.join(str(error).split())}") from error
             _work["done"] += 1
             yield f"frame {frame}" if any(made) else f"frame {frame} as it was"
     finally:
