@@ -54,7 +54,9 @@ def files_of(lidar: bpy.types.Object) -> dict[int, Path]:
 
 
 def steps(scene: bpy.types.Scene) -> Iterator[str]:
-    """Bake the LiDARs of a scene that renders show over the frames that its settings say: yields a line at first and for each cloud.
+    """Bake the LiDARs of a scene over the frames that its settings say; yields a line at first and for each cloud.
+
+    LiDARs that renders hide are left out.
 
     At the end, however it comes, the scene is at the frame that it was at.
 
