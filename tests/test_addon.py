@@ -54,6 +54,18 @@ def session(tmp_path_factory):
     return run
 
 
+@pytest.mark.skipif(BLENDER is None, reason="no Blender on this machine")
+def test_a_blender_with_the_addon_ends_without_a_word_of_it():
+    code = (
+        f"import sys; sys.path.insert(0, {str(SESSION.parents[1])!r}); import blender_lidar; blender_lidar.register()"
+    )
+    command = [BLENDER, "--background", "--factory-startup", "--python-exit-code", "1", "--python-expr", code]
+    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    environment |= {"PATH": "/usr/bin:/bin", "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=WAIT_S, check=False, env=environment)
+    assert (done.returncode, "Traceback" in done.stdout + done.stderr) == (0, False), done.stdout + done.stderr
+
+
 @pytest.mark.parametrize("program", PROGRAMS)
 @pytest.mark.parametrize("check", CHECKS)
 def test_in_a_blender(session, program, check):

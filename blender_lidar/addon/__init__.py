@@ -17,7 +17,8 @@ _registered = []
 def register() -> None:
     """Register all modules.
 
-    bpy as a module hangs at its end if a class is left registered, so that what is left is taken back there.
+    bpy as a module hangs at its end if a class is left registered, so that what is left is taken back there; in a
+    Blender nothing can be taken back by then.
 
     Raises
     ------
@@ -26,7 +27,10 @@ def register() -> None:
     """
     if bpy.app.version < (4, 2, 0) and bpy.app.version[:2] != (3, 4):
         raise RuntimeError(f"LiDAR: needs Blender 4.2 or later; this is {bpy.app.version_string}")
-    atexit.register(unregister)
+    from ..compiled import within_blender  # which a Blender that is too old could not import
+
+    if not within_blender():
+        atexit.register(unregister)
     for name in _MODULES:
         module = importlib.import_module(f".{name}", __package__)
         for made in module.classes:
