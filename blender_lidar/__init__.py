@@ -8,11 +8,12 @@ __version__ = "0.1.0"
 # As an add-on of Blender 3.4, which reads this without running it; extensions have blender_manifest.toml.
 bl_info = {
     "name": "LiDAR Placement",
-    "author": "blender_lidar contributors",
+    "author": "The authors of blender_lidar",
     "version": (0, 1, 0),
     "blender": (3, 4, 0),
     "location": "3D View > Sidebar > LiDAR; Add > LiDAR",
     "description": "Finds where a LiDAR should hang beside a road, how high and how tilted",
+    "doc_url": "https://arxiv.org/abs/2407.17942",
     "category": "3D View",
 }
 

@@ -46,6 +46,8 @@ def manifest(wheels: list[Path], platform: str | None) -> str:
         "tagline": "Finds where a roadside LiDAR should hang",
         "maintainer": bl_info["author"],
         "type": "add-on",
+        "website": bl_info["doc_url"],
+        "copyright": [f"2026 {bl_info['author']}"],
         "license": ["SPDX:GPL-3.0-or-later"],
         "blender_version_min": "4.2.0",
         "tags": ["3D View", "Object"],

@@ -273,9 +273,11 @@ def frame_site(lidar: bpy.types.Object, reach_m: float) -> None:
 def _draw_if(wanted: bool) -> None:
     """Have the views draw, or no more."""
     if wanted and _state.drawing is None and not bpy.app.background:
-        _state.drawing = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
+        calls = {"POST_VIEW": _draw, "POST_PIXEL": _draw_score}
+        _state.drawing = [bpy.types.SpaceView3D.draw_handler_add(call, (), "WINDOW", at) for at, call in calls.items()]
     elif not wanted and _state.drawing is not None:
-        bpy.types.SpaceView3D.draw_handler_remove(_state.drawing, "WINDOW")
+        for handle in _state.drawing:
+            bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")
         _state.drawing = None
 
 
@@ -316,6 +318,28 @@ def _draw() -> None:
     gpu.matrix.pop()
     gpu.state.point_size_set(1.0)
     gpu.state.depth_test_set("NONE")
+
+
+def _draw_score() -> None:
+    """Write the score of the active LiDAR, where it is live, into the view."""
+    import blf
+
+    lidar = session.active_lidar(bpy.context.scene)
+    shown = None if lidar is None else _state.shown.get(session.uid_of(lidar))
+    if shown is None or shown.look is None or not bpy.context.space_data.overlay.show_overlays:
+        return
+    group, text = lidar.blender_lidar, shown.problem
+    if not text and group.vehicles:
+        gain = 100 * (group.detectable_share - group.baseline_share)
+        text = f"Detectable {100 * group.detectable_share:.0f} % ({gain:+.0f} pp) of {group.vehicles}"
+    scale = bpy.context.preferences.system.ui_scale
+    blf.size(0, (14 if shown.problem else 22) * scale, *([72] if bpy.app.version < (4, 0) else []))
+    blf.enable(0, blf.SHADOW)
+    blf.shadow(0, 5, 0.0, 0.0, 0.0, 1.0)
+    blf.color(0, 1.0, 1.0, 1.0, 1.0)
+    blf.position(0, max((bpy.context.region.width - blf.dimensions(0, text)[0]) / 2, 0), 28 * scale, 0)
+    blf.draw(0, text)
+    blf.disable(0, blf.SHADOW)
 
 
 def _draw_boxes(boxes, scale):

@@ -139,7 +139,7 @@ def show_loaded(scene: bpy.types.Scene) -> Recording:
 class BLENDER_LIDAR_OT_load(bpy.types.Operator):
     """Read the traffic file, or the scene file, and show its road and vehicles"""
 
-    bl_idname, bl_label, bl_options = "blender_lidar.load", "Load", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "blender_lidar.load", "Load Traffic", {"REGISTER", "UNDO"}
 
     @one_line_errors
     def execute(self, context):
@@ -238,7 +238,7 @@ def _loaded(operator, recording):
 class BLENDER_LIDAR_OT_step_frame(NeedsTraffic, bpy.types.Operator):
     """Move the timeline to the next or the previous instant of the recording"""
 
-    bl_idname, bl_label, bl_options = "blender_lidar.step_frame", "Step", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "blender_lidar.step_frame", "Step Traffic", {"REGISTER", "UNDO"}
     back: BoolProperty(default=False, options={"SKIP_SAVE"})
 
     @one_line_errors
@@ -352,7 +352,7 @@ def _shows(layer: bpy.types.LayerCollection, of: bpy.types.Collection) -> bool:
 class BLENDER_LIDAR_OT_select(bpy.types.Operator):
     """Select this LiDAR"""
 
-    bl_idname, bl_label, bl_options = "blender_lidar.select", "Choose", {"REGISTER", "UNDO"}
+    bl_idname, bl_label, bl_options = "blender_lidar.select", "Select LiDAR", {"REGISTER", "UNDO"}
     name: StringProperty(options={"SKIP_SAVE"})
 
     def execute(self, context):

@@ -453,7 +453,7 @@ def _draw_bounds(layout, lidar, keys):
         row = column.row(align=True)
         row.enabled = rival is None or key in PLACE or getattr(group, f"{key}_on")
         row.use_property_split = False
-        row.prop(group, f"{key}_on", toggle=True, translate=False)
+        panels.field(row, group, f"{key}_on", toggle=True)
         if getattr(group, f"{key}_on"):
             row.prop(group, f"{key}_low", text="", translate=False)
             row.prop(group, f"{key}_high", text="", translate=False)
@@ -511,7 +511,7 @@ class BLENDER_LIDAR_PT_budget(panels.OfTraffic, bpy.types.Panel):
     def draw_for(self, layout, scene, lidar):
         """Instants, particles, iterations, seed and poles."""
         layout.enabled = job_of(lidar) is None
-        layout.prop(lidar.blender_lidar, "poles", translate=False)
+        panels.field(layout, lidar.blender_lidar, "poles")
         panels.rows(layout, scene.blender_lidar.traffic, "frames", "holdout")
         panels.rows(layout, scene.blender_lidar.search, *properties.TABLES["search"])
 

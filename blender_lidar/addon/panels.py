@@ -15,7 +15,7 @@ from ..world.blender.road import hidden_ground
 from . import operators, properties, session
 
 _TAB = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "LiDAR"}
-_LETTER, _FRAME = 6.5, 70.0  # width of a letter, and of tabs, margins and an icon beside a text [pixels at scale 1]
+_LETTER, _FRAME, _ICON = 6.4, 38.0, 24.0  # widths of a letter, of margins, and of an icon [pixels at scale 1]
 
 
 def panel(name: str, parent: str | None = None, **more: object):
@@ -36,16 +36,22 @@ def say(layout: bpy.types.UILayout, text: str, icon: str = "NONE") -> None:
     region = bpy.context.region
     width = region.width / bpy.context.preferences.system.ui_scale if region is not None else 10_000
     column = layout.column(align=True)
-    for line in textwrap.wrap(text, max(16, int((width - _FRAME) / _LETTER))) or [""]:
+    width -= _FRAME + (_ICON if icon != "NONE" else 0.0)
+    for line in textwrap.wrap(text, max(16, int(width / _LETTER))) or [""]:
         column.label(text=line, icon=icon, translate=False)
         icon = "NONE" if icon == "NONE" else "BLANK1"
+
+
+def field(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup, key: str, **more: object) -> None:
+    """A property with its name, which Blender would translate were it not given as a text."""
+    layout.prop(group, key, text=group.bl_rna.properties[key].name, translate=False, **more)
 
 
 def rows(layout: bpy.types.UILayout, group: bpy.types.PropertyGroup, *keys: str) -> None:
     """A row for each property."""
     column = layout.column()
     for key in keys:
-        column.prop(group, key, translate=False)
+        field(column, group, key)
 
 
 @panel("LiDAR")
@@ -77,21 +83,21 @@ class BLENDER_LIDAR_PT_traffic(bpy.types.Panel):
         layout.use_property_split, layout.use_property_decorate = True, False
         layout.prop(group.traffic, "path", text="File", translate=False)
         row = layout.row(align=True)
-        row.operator("blender_lidar.load", icon="FILE_REFRESH", translate=False)
-        row.operator("blender_lidar.load_example", icon="IMPORT", translate=False)
-        if group.loaded:
+        row.operator("blender_lidar.load", text="Load", icon="FILE_REFRESH", translate=False)
+        if group.loaded:  # else the tab's first line offers it
+            row.operator("blender_lidar.load_example", text="Example", icon="IMPORT", translate=False)
             row = layout.row(align=True)
             row.operator("blender_lidar.step_frame", text="", icon="TRIA_LEFT", translate=False).back = True
-            row.prop(group, "frame", translate=False)
+            field(row, group, "frame")
             row.operator("blender_lidar.step_frame", text="", icon="TRIA_RIGHT", translate=False)
             say(layout, session.time_text(context.scene))
-            layout.prop(group, "starts_s", translate=False)
+            field(layout, group, "starts_s")
             name = Path(group.traffic.path).name
             say(layout, f"Vehicles and road come from {name}; they cannot be moved, only left out.", icon="LOCKED")
-            layout.prop(group.traffic, "leave_out", translate=False)
+            field(layout, group.traffic, "leave_out")
         layout.prop(group.world, "detail", text="Vehicles", translate=False)
         if session.has_road(context.scene):
-            layout.prop(group.world, "ground", translate=False)
+            field(layout, group.world, "ground")
         hidden = ", ".join(hidden_ground(context.scene, context.view_layer))
         if hidden:
             say(layout, f"Not scanned, as it is hidden or deleted: {hidden}")
@@ -107,7 +113,7 @@ class BLENDER_LIDAR_PT_road(bpy.types.Panel):
         layout.use_property_split, layout.use_property_decorate = True, False
         rows(layout, group.road, *properties.TABLES["road"])
         rows(layout, group.traffic, "format", "period", "origin_m", "heading_deg", "time_step_s")
-        layout.prop(group.world, "variety", translate=False)
+        field(layout, group.world, "variety")
         lines = session.without_field(context.scene, session.active_lidar(context.scene))
         region = properties.kept_of(group).tables.get("region", {})
         if not (region.get("polygon_m") or region.get("stretches")):
@@ -141,24 +147,30 @@ class OfTraffic(OfLidar):
     of_traffic = True
 
 
+class BLENDER_LIDAR_UL_lidars(bpy.types.UIList):
+    """The LiDARs of a scene: name, in layout, live."""
+
+    def draw_item(self, context, layout, data, item, icon, active_data, active_property):
+        """A row of one."""
+        if item.lidar is not None:
+            row, group = layout.row(align=True), item.lidar.blender_lidar
+            row.prop(item.lidar, "name", text="", emboss=False, icon="LIGHT_SUN", translate=False)
+            row.prop(group, "in_layout", text="", icon="LINKED" if group.in_layout else "UNLINKED", translate=False)
+            row.prop(group, "live", text="", icon="PLAY", translate=False)
+
+
 @panel("Sensor", BLENDER_LIDAR_PT_main.__name__)
 class BLENDER_LIDAR_PT_sensor(OfLidar, bpy.types.Panel):
     """The LiDARs of the scene, and how the active one hangs."""
 
     def draw_for(self, layout, scene, lidar):
         """A list, and pose of the active one."""
-        column = layout.column(align=True)
-        for item in session.lidars_of(scene):
-            chosen, row = item == lidar, column.row(align=True)
-            icon = "RADIOBUT_ON" if chosen else "RADIOBUT_OFF"
-            row.operator(
-                "blender_lidar.select", text=item.name, icon=icon, depress=chosen, translate=False
-            ).name = item.name
-            row.prop(item.blender_lidar, "in_layout", text="", translate=False)
+        shared = scene.blender_lidar
+        layout.template_list("BLENDER_LIDAR_UL_lidars", "", shared, "lidars", shared, "row", rows=2)
         layout.operator("blender_lidar.add", text="Add LiDAR", icon="ADD", translate=False)
-        layout.prop(lidar.blender_lidar, "name_", translate=False)
+        field(layout, lidar.blender_lidar, "name_")
         if lidar.blender_lidar.name_ == properties.OWN:
-            layout.prop(lidar.blender_lidar, "table_path", translate=False)
+            field(layout, lidar.blender_lidar, "table_path")
         rows(layout, lidar.blender_lidar, "rotation_hz", "range_gate_m")
         row = layout.row(align=True)
         row.menu("BLENDER_LIDAR_MT_presets", text=bpy.types.BLENDER_LIDAR_MT_presets.bl_label, translate=False)
@@ -180,7 +192,7 @@ class BLENDER_LIDAR_PT_noise(OfLidar, bpy.types.Panel):
 
     def draw_for(self, layout, scene, lidar):
         """Its imperfections."""
-        layout.prop(lidar.blender_lidar, "datasheet", translate=False)
+        field(layout, lidar.blender_lidar, "datasheet")
         own = ("range_noise_m", "range_at_10_percent_m") if lidar.blender_lidar.datasheet else ()
         rows(layout, lidar.blender_lidar, *(key for key in properties.IMPERFECTIONS if key not in own))
 
@@ -194,10 +206,10 @@ class BLENDER_LIDAR_PT_scan(OfLidar, bpy.types.Panel):
         group = lidar.blender_lidar
         row = layout.row(align=True)
         row.operator("blender_lidar.scan", icon="LIGHT_SUN", translate=False)
-        row.prop(group, "live", toggle=True, translate=False)
-        layout.prop(group, "style", translate=False)
-        layout.prop(group, "colour_by", translate=False)
-        layout.prop(scene.blender_lidar, "label_by", translate=False)
+        field(row, group, "live", toggle=True)
+        field(layout, group, "style")
+        field(layout, group, "colour_by")
+        field(layout, scene.blender_lidar, "label_by")
         say(layout, f"Own objects: {'preview' if group.live else 'exact'}", icon="MESH_CUBE")
         if group.scanned_frame < 0:
             built = any(role(child) == CLOUD for child in lidar.children)
@@ -240,7 +252,7 @@ class BLENDER_LIDAR_PT_score(OfTraffic, bpy.types.Panel):
     def draw_for(self, layout, scene, lidar):
         """Objective, detectable share and the difference to the baseline."""
         group, shared = lidar.blender_lidar, scene.blender_lidar
-        layout.prop(shared, "metric", translate=False)
+        field(layout, shared, "metric")
         for line in fused_lines(scene, lidar):
             say(layout, line)
         if group.scanned_frame >= 0:
@@ -279,7 +291,7 @@ class BLENDER_LIDAR_PT_advanced(OfLidar, bpy.types.Panel):
 
     def draw_for(self, layout, scene, lidar):
         """Caster, threshold and cell."""
-        layout.prop(scene.blender_lidar.model, "caster", translate=False)
+        field(layout, scene.blender_lidar.model, "caster")
         rows(layout, scene.blender_lidar.objective, "threshold", "cell_m")
 
 
@@ -294,6 +306,7 @@ def add_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
 
 
 classes = (
+    BLENDER_LIDAR_UL_lidars,
     BLENDER_LIDAR_PT_main,
     BLENDER_LIDAR_PT_traffic,
     BLENDER_LIDAR_PT_road,

@@ -302,6 +302,17 @@ class BLENDER_LIDAR_PG_pointer(bpy.types.PropertyGroup):
     lidar: PointerProperty(type=bpy.types.Object)
 
 
+def _chosen_row(group):
+    from . import session
+
+    active = session.active_lidar(group.id_data)
+    return next((number for number, row in enumerate(group.lidars) if row.lidar == active), -1)
+
+
+def _choose_row(group, index):
+    bpy.ops.blender_lidar.select(name=group.lidars[index].lidar.name)
+
+
 class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
     """What the sidebar's tab shows of a scene."""
 
@@ -345,6 +356,7 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
         name="LiDAR", type=bpy.types.Object, description="The LiDAR that is scanned, scored and optimized"
     )
     lidars: CollectionProperty(type=BLENDER_LIDAR_PG_pointer, options={"HIDDEN"})
+    row: IntProperty(get=_chosen_row, set=_choose_row, options={"HIDDEN"}, description="The active one among them")
     fused: StringProperty(options={"HIDDEN"}, description="What the layout is worth on the frame scanned last, as JSON")
     bake_own: BoolProperty(name="Own Range", description="Bake other frames than those that the scene renders")
     bake_frames: IntVectorProperty(name="Frames", size=2, default=(1, 250), description="First and last frame to bake")

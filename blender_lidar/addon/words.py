@@ -9,7 +9,7 @@ from ..sensors.model import load_model, model_names
 CALLED = {
     "path": "File",
     "name": "Model",
-    "rotation_hz": "Rotation (Hz)",
+    "rotation_hz": "Turns / s",
     "grade_percent": "Grade (%)",
     "cross_fall_percent": "Cross Fall (%)",
     "crown_percent": "Crown (%)",
