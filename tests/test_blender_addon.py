@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import math
 from pathlib import Path
@@ -15,7 +16,7 @@ from blender_lidar.addon import live, optimising, properties, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.toml_table import to_toml
+from blender_lidar.toml_table import read_toml, to_toml
 from blender_lidar.world.blender.objects import lidars
 from tests.six_scenes import SCENES
 from tests.small_scene import REGION, without_times, write_scene
@@ -237,3 +238,87 @@ def test_how_long_it_takes_is_said_from_the_searchs_own_rate(tmp_path, monkeypat
     finally:
         monkeypatch.undo()
         job.stop()
+
+
+# --- Python files, vehicles left out, and runs of files that were not saved --------------------------------------------
+
+OWN = """
+import pathlib
+from blender_lidar import metric
+pathlib.Path(__file__).with_name("ran").touch()
+
+@metric(label="hits")
+def hits(vehicles):
+    return vehicles.points.astype(float)
+"""
+
+
+def test_a_scene_runs_its_python_file_only_after_a_yes_and_again_only_as_it_was(tmp_path):
+    path, own, ran = SCENES["circle"](tmp_path), tmp_path / "own.py", tmp_path / "ran"
+    tables = read_toml(path)
+    tables.setdefault("objective", {})["metric"] = "own.py:hits"
+    path.write_text(to_toml(tables))
+    own.write_text(OWN)
+    scene = bpy.context.scene
+    scene.blender_lidar.traffic.path = str(path)
+    with pytest.raises(RuntimeError, match="is Python code that the scene runs; allowed after Run own.py"):
+        bpy.ops.blender_lidar.load()
+    assert session.untrusted(scene) == [own]
+    assert not ran.exists()
+    assert bpy.ops.blender_lidar.run_file(filepath=str(own)) == {"FINISHED"}
+    loaded(path)
+    assert session.untrusted(scene) == []
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    assert ran.exists()
+    ran.unlink()
+    own.write_text(OWN + "# changed")
+    saved_and_opened(tmp_path)
+    assert session.untrusted(bpy.context.scene) == [own]
+    with pytest.raises(RuntimeError, match="allowed after Run own.py"):
+        bpy.ops.blender_lidar.scan()
+    assert not ran.exists()
+
+
+def test_vehicles_that_are_left_out_are_neither_there_nor_counted(tmp_path):
+    lidar, scene = loaded(SCENES["circle"](tmp_path)), bpy.context.scene
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    before, ids = lidar.blender_lidar.vehicles, session.vehicles_of(scene).vehicle_id
+    counted = session.live_frame(scene, lidar).frame
+    out = int(counted.vehicles.vehicle_id[counted.counted][0])
+    scene.blender_lidar.traffic.leave_out = f"{out}"
+    assert session.scenario_from(scene).traffic.leave_out == (out,)
+    assert set(session.vehicles_of(scene).vehicle_id) == set(ids) - {out}
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    assert lidar.blender_lidar.vehicles == before - 1
+    scene.blender_lidar.traffic.leave_out = "987654321"
+    with pytest.raises(RuntimeError, match="Traffic, Leave Out: .* has no vehicle 987654321"):
+        bpy.ops.blender_lidar.scan()
+
+
+def test_the_run_of_an_unsaved_file_is_moved_beside_it_when_it_is_saved(tmp_path):
+    lidar = loaded(SCENES["circle"](tmp_path))
+    lidar.blender_lidar.found = ""
+    assert bpy.ops.blender_lidar.optimize() == {"FINISHED"}
+    before = optimising.run_of(lidar)
+    assert before.is_dir()
+    lidar = saved_and_opened(tmp_path)
+    assert not before.exists()
+    assert optimising.run_of(lidar).parent == tmp_path / "saved_runs"
+    assert (optimising.run_of(lidar) / "report.html").is_file()
+
+
+def test_nothing_of_ours_is_translated_by_halves():
+    for name in dir(bpy.types):
+        if name.startswith("BLENDER_LIDAR_"):
+            made = getattr(bpy.types, name)
+            assert made.bl_translation_context == properties.CONTEXT, name
+            own = [one for one in made.bl_rna.properties if one.identifier in made.__annotations__]
+            assert all(one.translation_context == properties.CONTEXT for one in own), name
+    folder = Path(optimising.__file__).parent
+    for path in folder.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") in ("label", "prop", "operator", "menu"):
+                given = {word.arg: word.value for word in node.keywords}
+                assert "translate" in given and not given["translate"].value, (path.name, node.lineno)
+                if node.func.attr in ("prop", "label"):  # a property's own name Blender 3.4 translates all the same
+                    assert "text" in given, (path.name, node.lineno)

@@ -352,6 +352,8 @@ def test_the_panel_shows_the_layout_its_score_and_both_searches(tmp_path):
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     for panel in (panels.BLENDER_LIDAR_PT_sensor, panels.BLENDER_LIDAR_PT_score, optimising.BLENDER_LIDAR_PT_optimize):
         panel.draw_for(panel, drawn, scene, hung["north"])
+    for row in scene.blender_lidar.lidars:
+        panels.BLENDER_LIDAR_UL_lidars.draw_item(None, None, drawn, None, row, None, None, None)
     texts = list(filter(None, drawn.texts))
     assert texts.count("in_layout") == 2
     assert {"Optimize Layout", "Optimize north", "north alone:", "Baseline: 2.50 m, tilt 5.0°"} <= set(texts)

@@ -35,7 +35,7 @@ class BLENDER_LIDAR_AP_preferences(bpy.types.AddonPreferences):
         """A row for each."""
         self.layout.use_property_split = True
         for key in ("sensor", "caster", "point_size", "runs"):
-            self.layout.prop(self, key, translate=False)
+            self.layout.prop(self, key, text=self.bl_rna.properties[key].name, translate=False)
 
 
 def preference(key: str) -> object:
