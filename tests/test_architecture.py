@@ -52,6 +52,7 @@ LIBRARIES = {
     "bpy": ("casting/bvh.py", "world/blender/", "addon/"),
     "bpy_extras": ("addon/",),
     "bl_operators": ("addon/",),
+    "blf": ("addon/",),
     "mathutils": ("casting/bvh.py", "world/blender/", "addon/"),
     "gpu": ("addon/",),
     "gpu_extras": ("addon/",),
