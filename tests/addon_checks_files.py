@@ -11,7 +11,7 @@ import blender_lidar
 from blender_lidar.addon import handlers, properties, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.world.blender.objects import CLOUD, KEY, PART, VEHICLE, hang, lidars, role
+from blender_lidar.world.blender.objects import CLOUD, KEY, PART, hang, lidars, role
 from blender_lidar.world.blender.points import STYLES, cloud_of, colours_by, set_look, show_cloud
 from tests.addon_sample import (
     FOLDER,
@@ -30,7 +30,7 @@ from tests.addon_sample import (
     refused,
     vertices,
 )
-from tests.blender_session import colours_shown
+from tests.blender_session import assert_shows, colours_shown
 from tests.small_scene import mounting
 
 
@@ -443,10 +443,11 @@ def check_what_build_writes_is_taken_over():
     lidar.blender_lidar.x_m = 6.0
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert len(vertices(cloud_of(lidar))) == lidar.blender_lidar.points != len(built)
-    vehicles = [item for item in scene.objects if role(item) == VEHICLE]
+    assert_shows(scene, session.vehicles_of(scene))
     assert bpy.ops.blender_lidar.step_frame() == {"FINISHED"}
     assert scene.blender_lidar.frame == FRAME + 1
-    assert abs(len([item for item in scene.objects if role(item) == VEHICLE]) - len(vehicles)) < 10
+    assert_shows(scene, session.vehicles_of(scene))
+    assert len(session.vehicles_of(scene)) > 0
     bpy.ops.wm.save_mainfile()
     bpy.ops.wm.open_mainfile(filepath=str(out))
     (lidar,) = lidars(bpy.context.scene)

@@ -17,10 +17,22 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import blender_lidar
-from tests import addon_checks_anything, addon_checks_files, addon_checks_hanging, addon_checks_settings
+from tests import (
+    addon_checks_anything,
+    addon_checks_files,
+    addon_checks_hanging,
+    addon_checks_settings,
+    addon_checks_timeline,
+)
 from tests.addon_sample import FOLDER, new_file
 
-_MODULES = (addon_checks_anything, addon_checks_hanging, addon_checks_files, addon_checks_settings)
+_MODULES = (
+    addon_checks_anything,
+    addon_checks_hanging,
+    addon_checks_files,
+    addon_checks_settings,
+    addon_checks_timeline,
+)
 CHECKS = {name: check for module in _MODULES for name, check in vars(module).items()}
 
 

@@ -16,7 +16,7 @@ from blender_lidar.world.blender.objects import KEY, PART, glass, new_mesh
 from blender_lidar.world.blender.preview import VisibleObjects
 from blender_lidar.world.blender.scene import empty_scene
 from blender_lidar.world.blender.site import open_scenery
-from blender_lidar.world.blender.traffic import show_vehicles
+from blender_lidar.world.blender.traffic import show_still
 from blender_lidar.world.meshes import GLASS, STRUCTURE
 from tests.sample_traffic import dense_traffic
 
@@ -103,7 +103,7 @@ def test_modifiers_curves_and_instances_occlude_and_the_hidden_and_our_own_do_no
         scene.collection.objects[-1].instance_collection = trees
     there = assert_as_exact(scene, preview)
     add(scene, "hidden", rough("hidden"), (0.0, 3.0, 3.0), (1.5, 0.0, 0.0), (9.0, 9.0, 1.0)).hide_viewport = True
-    show_vehicles(scene, dense_traffic(vehicles=10, length_m=40.0))
+    show_still(scene, dense_traffic(vehicles=10, length_m=40.0))
     assert assert_as_exact(scene, preview) == there > 300
 
 

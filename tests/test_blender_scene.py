@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,19 +17,23 @@ from hypothesis import strategies as st
 bpy = pytest.importorskip("bpy")
 
 from blender_lidar.errors import InputError, MissingFileError, OutputError
+from blender_lidar.road.road_map import wrap_angle
 from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.sensors.pose import Pose
+from blender_lidar.traffic import Recording, RepairReport
 from blender_lidar.traffic.boxes import DetectedBoxes, corners_of
-from blender_lidar.world.blender.objects import DISPLAY_ONLY, VEHICLE_ID, build_lidar, role, sensor_matrix
+from blender_lidar.traffic.fleet import BODIES
+from blender_lidar.world.blender import traffic
+from blender_lidar.world.blender.objects import DISPLAY_ONLY, build_lidar, role, sensor_matrix
 from blender_lidar.world.blender.points import show_cloud, write_cloud
 from blender_lidar.world.blender.scene import build_scene, empty_scene, render_picture, save_blend
 from blender_lidar.world.blender.site import read_site, visible_triangles
-from blender_lidar.world.blender.traffic import animate, colour_vehicles, show_vehicles
+from blender_lidar.world.blender.traffic import show_recording, show_still, starts_at, traffic_object
 from blender_lidar.world.meshes import GLASS
 from blender_lidar.world.scenery import road_surface
 from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import shape_names, vehicle_triangles
-from tests.blender_session import LATTICE, POSE, SCENERY, TRAFFIC, hits, moment
+from tests.blender_session import LATTICE, POSE, SCENERY, TRAFFIC, assert_shows, hits, moment, shown_vehicles
 from tests.sample_traffic import dense_traffic
 from tests.waiting import WAIT_S
 
@@ -70,8 +75,11 @@ def test_what_goes_out_and_comes_back_in_is_hit_the_same(scene, detail):
     vehicles = vehicle_triangles(TRAFFIC, detail)
     owner = np.concatenate([vehicles.owner, np.full(len(SCENERY), len(TRAFFIC))])
     sent = hits(np.concatenate([vehicles.corners, SCENERY.corners]), owner)
-    number = {f"{name} {vehicle}": row for row, (name, vehicle) in enumerate(_named())}
-    of_object = np.array([number.get(name, len(TRAFFIC)) for name in back.names])
+    centres, _, _, _ = shown_vehicles(scene)
+    nearest = [int(np.abs(TRAFFIC.centre_m - centre).sum(axis=1).argmin()) for centre in centres]
+    is_body = [name.endswith(f" {detail}") for name in back.names]
+    of_object = np.full(len(back.names), len(TRAFFIC))
+    of_object[is_body] = nearest
     came = hits(back.corners, of_object[back.owner])
     both = np.isfinite(sent[0]) & np.isfinite(came[0])
     assert both.sum() > 500
@@ -82,27 +90,74 @@ def test_what_goes_out_and_comes_back_in_is_hit_the_same(scene, detail):
     assert np.count_nonzero(back.surface == GLASS) == np.count_nonzero(vehicles.surface == GLASS)
 
 
-def _named():
-    return zip(shape_names(TRAFFIC).tolist(), TRAFFIC.vehicle_id.tolist(), strict=True)
+@pytest.mark.parametrize("detail", DETAILS)
+def test_vehicles_are_instances_of_one_body_for_each_shape_and_a_change_leaves_nothing_behind(scene, detail):
+    other = dense_traffic(vehicles=25, length_m=70.0)
+    for vehicles in (other, TRAFFIC, other):
+        show_still(scene, vehicles, detail)
+        assert_shows(scene, vehicles)
+        bodies = {f"{name} {detail}" for name in set(shape_names(vehicles).tolist())}
+        assert {item.data.name for item in bpy.data.objects} == {"Vehicles", *bodies}
+        assert [item.name for item in scene.objects] == ["Vehicles"]
+        assert scene.objects[0].hide_select
 
 
-def test_vehicles_of_a_shape_share_one_mesh(scene):
-    shown = show_vehicles(scene, TRAFFIC)
-    assert len(shown) == len(TRAFFIC)
-    assert len({item.data for item in shown}) == len(set(shape_names(TRAFFIC).tolist()))
+def with_bodies(vehicles):
+    return replace(vehicles, body=(np.arange(len(vehicles)) % (len(BODIES) + 1)).astype(np.int8))
 
 
-def test_a_change_of_frame_moves_vehicles_and_leaves_nothing_behind(scene):
-    first, other = TRAFFIC, dense_traffic(vehicles=25, length_m=70.0)
-    show_vehicles(scene, first)
-    seen = {*shape_names(first).tolist(), *shape_names(other).tolist()}
-    for vehicles in (other, first, other):
-        shown = show_vehicles(scene, vehicles)
-        scene.view_layers[0].update()
-        assert len(bpy.data.objects) == len(vehicles)
-        assert [item[VEHICLE_ID] for item in shown] == [str(number) for number in vehicles.vehicle_id]
-        np.testing.assert_allclose([item.matrix_world.translation for item in shown], vehicles.centre_m, atol=1e-5)
-    assert {mesh.name for mesh in bpy.data.meshes} == {f"{name} body" for name in seen}
+def recorded(frames):
+    """Frames as a recording."""
+    columns = ("vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane")
+    return Recording.from_rows(
+        frame=np.repeat([one.frame for one in frames], [len(one) for one in frames]),
+        time_s=np.repeat([one.time_s for one in frames], [len(one) for one in frames]),
+        time_step_s=0.1,
+        source="made",
+        report=RepairReport(),
+        body=np.concatenate([np.zeros(len(one)) if one.body is None else one.body for one in frames]),
+        **{name: np.concatenate([getattr(one, name) for one in frames]) for name in columns},
+    )
+
+
+def drives():
+    """Instants 0.5 s apart, a gap, and one more; vehicles come and go, have all bodies and turn across 180 degrees."""
+    frames = []
+    for number, count in ((10, 30), (15, 34), (20, 28), (60, 31)):
+        one = with_bodies(dense_traffic(vehicles=count, length_m=90.0, seed=number))
+        frames.append(replace(one, frame=number, time_s=0.1 * number, heading_rad=np.pi + 0.9 * one.heading_rad))
+    return recorded([replace(one, heading_rad=wrap_angle(one.heading_rad)) for one in frames])
+
+
+def moved_to(scene, second):
+    number = second * scene.render.fps
+    scene.frame_set(math.floor(number), subframe=number - math.floor(number))
+
+
+@pytest.mark.parametrize(("fps", "starts_s"), [(24, 0.0), (25, 3.21), (30, -2.5)])
+def test_the_timeline_shows_what_moment_says_at_instants_between_them_and_in_gaps(scene, fps, starts_s):
+    scene.render.fps, made = fps, drives()
+    show_recording(scene, made, "body", 0.0, starts_s)
+    for since_s in (-0.1, 0.0, 0.01, 0.25, 0.4, 0.5, 0.77, 1.0, 1.01, 3.0, 5.0, 5.5):
+        moved_to(scene, starts_s + since_s)
+        assert_shows(scene, made.moment(since_s))
+
+
+def test_of_a_long_recording_the_mesh_has_what_is_about_the_moment_and_says_when_it_ends(scene, monkeypatch):
+    monkeypatch.setattr(traffic, "MOST_SEGMENTS", 500)
+    frames = [dense_traffic(vehicles=40, length_m=90.0, seed=number) for number in range(60)]
+    made = recorded([replace(one, frame=5 * at, time_s=0.5 * at) for at, one in enumerate(frames)])
+    for since_s in (0.0, 12.3, 29.5):
+        show_recording(scene, made, "box", since_s, 0.0)
+        item = traffic_object(scene)
+        assert len(item.data.vertices) <= 500
+        for step in np.arange(-8.0, 12.0, 0.35):
+            if starts_at(item, since_s + step, 0.0):
+                moved_to(scene, since_s + step)
+                assert_shows(scene, made.moment(since_s + step), atol=1e-3)
+        assert all(starts_at(item, since_s + step, 0.0) for step in (-0.9, 0.0, 3.0))
+        assert starts_at(item, -9.0, 0.0) == (since_s == 0.0)
+        assert starts_at(item, 99.0, 0.0) == (since_s == 29.5)
 
 
 @settings(max_examples=40)
@@ -144,14 +199,11 @@ def test_a_cloud_written_again_in_place_holds_the_new_points_alone(scene):
     assert [material.name for material in item.data.materials] == ["LiDAR points"]
 
 
-def test_vehicles_take_the_colour_of_their_entropy_and_their_paint_again(scene):
-    shown = show_vehicles(scene, TRAFFIC)
-    colour_vehicles(shown, np.linspace(0.0, 1.2, len(shown)))
-    np.testing.assert_allclose(shown[0].color, (0.85, 0.05, 0.02, 1.0), atol=1e-6)
-    np.testing.assert_allclose(shown[-1].color, (0.55, 0.95, 0.25, 1.0), atol=1e-6)
-    colour_vehicles(shown, None)
-    assert all(tuple(item.color) == tuple(item.active_material.diffuse_color) for item in shown)
-    assert len({tuple(item.color) for item in shown}) == len(set(TRAFFIC.class_name.tolist()))
+def test_vehicles_have_a_paint_for_each_class(scene):
+    show_still(scene, TRAFFIC)
+    bodies = [item for item in bpy.data.objects if item not in set(scene.objects)]
+    assert all(tuple(item.color) == tuple(item.data.materials[0].diffuse_color) for item in bodies)
+    assert len({tuple(item.color) for item in bodies}) == len(set(TRAFFIC.class_name.tolist()))
 
 
 def test_what_is_only_drawn_is_not_met(scene):
@@ -298,38 +350,30 @@ def test_a_site_that_cannot_be_read_is_refused_in_one_line(tmp_path):
         assert "\n" not in str(error.value)
 
 
-def test_an_animation_shows_each_frame_at_its_time(scene):
-    frames = [dense_traffic(vehicles=count, length_m=90.0, seed=seed) for seed, count in ((1, 12), (2, 14), (3, 9))]
-    frames = [_renumbered(vehicles, 10 + 5 * row) for row, vehicles in enumerate(frames)]
-    animate(scene, frames, time_step_s=10 / 24 / 5)  # ten pictures from one to the next
-    assert (scene.frame_start, scene.frame_end) == (1, 21)
-    for row, vehicles in enumerate(frames):
-        scene.frame_set(1 + 10 * row)
-        shown = {item[VEHICLE_ID]: item for item in scene.objects if VEHICLE_ID in item and not item.hide_render}
-        assert sorted(shown, key=int) == [str(number) for number in vehicles.vehicle_id]
-        for number, centre, size, heading in zip(
-            vehicles.vehicle_id, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, strict=True
-        ):
-            item = shown[str(number)]
-            np.testing.assert_allclose(item.matrix_world.translation, centre, atol=1e-4)
-            np.testing.assert_allclose(item.scale, size, rtol=1e-5)
-            assert math.cos(item.rotation_euler.z - heading) == pytest.approx(1.0, abs=1e-9)
-    scene.frame_set(1 + 5)  # half way from the first frame to the second: vehicles go evenly
-    both = {str(number): row for row, number in enumerate(frames[1].vehicle_id)}
-    for number, centre in zip(frames[0].vehicle_id, frames[0].centre_m, strict=True):
-        item = next(item for item in scene.objects if item.get(VEHICLE_ID) == str(number))
-        middle = 0.5 * (centre + frames[1].centre_m[both[str(number)]])
-        np.testing.assert_allclose(item.matrix_world.translation, middle, atol=1e-4)
-    show_vehicles(scene, frames[2])
-    scene.frame_set(7)
-    for item, centre in zip(show_vehicles(scene, frames[2]), frames[2].centre_m, strict=True):
-        np.testing.assert_allclose(item.location, centre, atol=1e-4)
+def test_a_built_animation_plays_at_true_speed_from_its_first_frame_on(tmp_path):
+    made = drives().where(drives().frame < 30)
+    save_blend(tmp_path / "scene.blend", replace(moment(made.vehicles(10), cloud=False), since_s=7.0), made)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    scene = bpy.context.scene
+    assert (scene.render.fps, scene.frame_start, scene.frame_end, scene.frame_current) == (24, 1, 25, 1)
+    for at in (1, 7, 13, 20, 25, 26):
+        scene.frame_set(at)
+        assert_shows(scene, made.moment((at - 1) / 24))
+    assert not starts_at(traffic_object(scene), 7.0, 0.0)  # of a recording of which it has a part
+    empty_scene()
+
+
+@pytest.mark.parametrize(("step_s", "fps"), [(0.1, 30), (0.04, 25), (0.5, 24), (0.07, 24)])
+def test_a_built_animation_has_its_instants_on_whole_frames_where_a_usual_rate_allows_it(tmp_path, step_s, fps):
+    frames = [replace(TRAFFIC, frame=at, time_s=step_s * at) for at in range(4)]
+    save_blend(tmp_path / "scene.blend", moment(cloud=False), recorded(frames))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    assert bpy.context.scene.render.fps == fps
+    empty_scene()
 
 
 def _renumbered(vehicles, frame):
-    from dataclasses import replace
-
-    vehicles = replace(vehicles, frame=frame, class_index=np.zeros(len(vehicles), dtype=np.int8))
+    vehicles = replace(vehicles, frame=frame, time_s=0.1 * frame, class_index=np.zeros(len(vehicles), dtype=np.int8))
     size = np.broadcast_to((4.5, 1.8, 1.5), vehicles.size_m.shape).copy()  # the same car in every frame
     return replace(vehicles, size_m=size)
 
@@ -430,7 +474,7 @@ def test_detections_of_no_vehicle_are_no_boxes(scene):
 def test_each_frame_of_an_animation_shows_its_own_detections_until_the_next(tmp_path):
     frames = [_renumbered(dense_traffic(vehicles=9, seed=seed), number) for seed, number in ((1, 10), (2, 20), (3, 30))]
     detections = {vehicles.frame: boxes_about(vehicles) for vehicles in (frames[0], frames[1])}
-    save_blend(tmp_path / "scene.blend", moment(frames[0], cloud=False, detections=detections), frames, 0.1)
+    save_blend(tmp_path / "scene.blend", moment(frames[0], cloud=False, detections=detections), recorded(frames))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
     scene = bpy.context.scene
     for at, number in ((1, 10), (24, 10), (25, 20), (48, 20), (49, None)):
@@ -487,8 +531,6 @@ def test_names_that_the_user_s_file_has_already_do_no_harm(scene):
     scene.unit_settings.scale_length = 0.5
     for _ in range(2):
         build_scene(scene, moment())
-        shown = [item for item in scene.objects if VEHICLE_ID in item]
-        assert len({item.data for item in shown}) == len(set(shape_names(TRAFFIC).tolist()))
-        assert all(len(item.data.vertices) for item in shown)
+        assert_shows(scene, TRAFFIC)
     assert len([material for material in bpy.data.materials if material.name.startswith("Glass")]) == 2
     assert scene.unit_settings.scale_length == 0.5

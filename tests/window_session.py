@@ -126,7 +126,8 @@ def steps():
     yield from until(lambda: "LiDAR" in bpy.data.objects)
     look_at_the_road()
     yield 1.0
-    assert len([item for item in bpy.data.objects if item.get("vehicle_id")]) > 50
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    assert len([one for one in depsgraph.object_instances if one.is_instance]) > 50
     photograph("2_loaded")
 
     scrolled(10)

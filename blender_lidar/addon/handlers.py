@@ -85,12 +85,12 @@ def on_change(block: bpy.types.ID, table: str) -> None:
         return
     problem = ""
     try:
-        if table == "clock" and scene.blender_lidar.loaded:
-            operators.show_moment(scene)
+        if table == "world":
+            show_ground(scene, session.view_layer_of(scene), shown=scene.blender_lidar.world.ground)
+        if table in ("clock", "world") and scene.blender_lidar.loaded:
+            session.show_traffic(scene, again=table == "world")
         elif table == "road":
             properties.hang_again(scene)
-        elif table == "world":
-            show_ground(scene, session.view_layer_of(scene), shown=scene.blender_lidar.world.ground)
         elif table == "sensor" and block != scene:
             operators.dress(block, operators.lattice_of(session.sensor_of(block)))
     except BlenderLidarError as error:
@@ -103,7 +103,7 @@ def on_change(block: bpy.types.ID, table: str) -> None:
 def on_time(scene, *_) -> None:
     """Show the vehicles of another time, before Blender evaluates it."""
     if scene.blender_lidar.loaded:
-        operators.show_moment(scene)
+        session.show_traffic(scene)
 
 
 app_handlers = {

@@ -146,7 +146,7 @@ def _update_one(scene, lidar, shown, objects) -> bool:
     """Look from a LiDAR unless it was looked at as it is now; whether that was done."""
     check_local(lidar)
     group, mounting, since_s = lidar.blender_lidar, properties.mounting_of(lidar), session.since_of(scene)
-    now = mounting, since_s, objects.state, group.colour_by
+    now = mounting, since_s, session.is_traffic_shown(scene), objects.state, group.colour_by
     if now == shown.seen:
         return False
     shown.seen = now

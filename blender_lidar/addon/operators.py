@@ -50,7 +50,7 @@ from ..world.blender.objects import (
 from ..world.blender.points import show_cloud
 from ..world.blender.road import build_road, show_ground
 from ..world.blender.site import is_own, open_scenery
-from ..world.blender.traffic import show_vehicles
+from ..world.blender.traffic import show_recording
 from ..world.scenery import Scenery
 from . import live, properties, session
 from .preferences import preference
@@ -105,7 +105,7 @@ class NeedsTraffic(NeedsLidar):
 # --- Traffic ----------------------------------------------------------------------------------------------------------
 
 
-def show_traffic(scene: bpy.types.Scene, recording: Recording, frame: int, scenery: Scenery | None) -> None:
+def show_site(scene: bpy.types.Scene, recording: Recording, frame: int, scenery: Scenery | None) -> None:
     """Show the road, what a scene file has standing there, and the frame of a recording nearest to a number."""
     group = scene.blender_lidar
     scenario = session.scenario_from(scene)
@@ -120,19 +120,14 @@ def show_traffic(scene: bpy.types.Scene, recording: Recording, frame: int, scene
         item.hide_select = True  # it shows what the file says; moving it would move nothing that is scanned
     group.loaded = True
     session.start_clock(scene, recording, frame)
-    show_moment(scene)
-
-
-def show_moment(scene: bpy.types.Scene) -> None:
-    """Show the vehicles of the timeline's time."""
-    show_vehicles(scene, session.vehicles_of(scene), scene.blender_lidar.world.detail)
+    show_recording(scene, recording, group.world.detail, session.since_of(scene), group.starts_s)
 
 
 def show_loaded(scene: bpy.types.Scene) -> Recording:
     """Read a scene's traffic as its fields say, and show it with its road."""
     scenery = _standing(session.scenario_from(scene, session.active_lidar(scene)))
     recording = session.recording_of(scene)
-    show_traffic(scene, recording, scene.blender_lidar.known_frame, scenery)
+    show_site(scene, recording, scene.blender_lidar.known_frame, scenery)
     return recording
 
 
@@ -189,17 +184,24 @@ class BLENDER_LIDAR_OT_load_example(bpy.types.Operator):
     @one_line_errors
     def execute(self, context):
         """Fill the panel with the shipped scene."""
-        return _take_over(self, context, shipped_scenes()["i80"])
+        scene = context.scene
+        as_made = (scene.frame_start, scene.frame_end) == (1, 250) and not bpy.data.actions
+        answer = _take_over(self, context, shipped_scenes()["i80"], clip=True)
+        if as_made:
+            length_s = session.recording_of(scene).since_s[-1]
+            scene.frame_end = scene.frame_current + round(length_s * scene.render.fps / scene.render.fps_base)
+        return answer
 
 
-def _take_over(operator, context, path):
+def _take_over(operator, context, path, *, clip=False):
     """Fill the panel with a scene file's settings, show its traffic, and let LiDARs hang there that are not there."""
     scene = context.scene
     session.check_unit(scene)
     tables, folder = read_toml(path), str(path.resolve().parent)
     session.check_trusted(tables, folder)
     scenario = load_scenario(path)
-    recordings, scenery = read_recordings(scenario), _standing(scenario)
+    recordings, scenery = read_recordings(session.with_clip(scenario, clip)), _standing(scenario)
+    scene.blender_lidar.clip = clip
     session.fill_scene(scene, tables, folder, scenario)
     properties.hang_again(scene)
     there, taken = {one.name: one for one in filter(is_local, lidars(scene))}, set()
@@ -217,9 +219,9 @@ def _take_over(operator, context, path):
         dress(found, lattice_of(one.sensor))
     select(context, session.layout_of(scene, found)[0])
     live.frame_site(context.view_layer.objects.active, scenario.sensor.range_gate_m)
-    recording = session.keep(scene, session.scenario_from(scene), recordings)
-    ids = scenario.traffic.frame_ids
-    show_traffic(scene, recording, ids[0] if ids else int(recording.frames[len(recording.frames) // 2]), scenery)
+    recording = session.keep(scene, recordings)
+    ids, frames = scenario.traffic.frame_ids, recording.frames
+    show_site(scene, recording, ids[0] if ids and not clip else int(frames[0 if clip else len(frames) // 2]), scenery)
     return _loaded(operator, recording)
 
 
@@ -546,6 +548,7 @@ class BLENDER_LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator
         scene = context.scene
         hung = session.layout_of(scene, session.active_lidar(scene))
         layout = tuple(map(properties.mounting_of, hung))
+        session.check_traffic_is_shown(scene)
         check_unused(Path(self.directory), "folder", "run")
         objects = open_scenery(scene, context.view_layer)
         scenario, recordings = session.layout_scenario(scene, hung), session.recordings_of(scene)

@@ -247,6 +247,7 @@ def begin(scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object, *, alone: 
     """
     hung = session.layout_of(scene, lidar)
     held = [one for one in hung if alone and one != lidar]
+    session.check_traffic_is_shown(scene)
     scenario = session.layout_scenario(scene, hung, here=False, held=held)
     several, spaces = scenario.further_lidars, scenario.deployment.spaces
     if all(one.is_held for one in scenario.lidars) if several else not all(space.variables for space in spaces):
@@ -512,6 +513,8 @@ class BLENDER_LIDAR_PT_budget(panels.OfTraffic, bpy.types.Panel):
         """Instants, particles, iterations, seed and poles."""
         layout.enabled = job_of(lidar) is None
         panels.field(layout, lidar.blender_lidar, "poles")
+        if scene.blender_lidar.clip:
+            panels.say(layout, f"Searched: {session.CLIP[0]}")
         panels.rows(layout, scene.blender_lidar.traffic, "frames", "holdout")
         panels.rows(layout, scene.blender_lidar.search, *properties.TABLES["search"])
 

@@ -92,9 +92,11 @@ class BLENDER_LIDAR_PT_traffic(bpy.types.Panel):
             row.operator("blender_lidar.step_frame", text="", icon="TRIA_RIGHT", translate=False)
             say(layout, session.time_text(context.scene))
             field(layout, group, "starts_s")
-            name = Path(group.traffic.path).name
+            name = session.CLIP[1] if group.clip else Path(group.traffic.path).name
             say(layout, f"Vehicles and road come from {name}; they cannot be moved, only left out.", icon="LOCKED")
             field(layout, group.traffic, "leave_out")
+            if group.clip:
+                say(layout, f"Optimize searches {session.CLIP[0]}, of the same simulation.")
         layout.prop(group.world, "detail", text="Vehicles", translate=False)
         if session.has_road(context.scene):
             field(layout, group.world, "ground")

@@ -191,7 +191,8 @@ _USUAL = {"x_m": (-10.0, 10.0), "y_m": (-5.0, 0.0), **SEARCHED}  # bounds of a r
 
 
 def _annotations(table: str, keys: Mapping[str, Setting]) -> dict[str, object]:
-    return {key: made_from(key, declared, table) for key, declared in keys.items()}
+    of = {"leave_out": "world"}  # which changes what is shown
+    return {key: made_from(key, declared, of.get(key, table)) for key, declared in keys.items()}
 
 
 # Groups with one property for each key, as registered classes read them from their annotations.
@@ -344,6 +345,7 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
         description="What of your own objects labels the points on them",
     )
     covered: StringProperty(options={"HIDDEN"}, description="Which share of chosen objects LiDARs saw, as JSON")
+    clip: BoolProperty(options={"HIDDEN"}, description="Whether the timeline plays the 20 s of the example")
     known_frame: IntProperty(options={"HIDDEN"}, description="The same when the traffic was last looked at")
     starts_s: FloatProperty(
         name="Starts At",

@@ -34,11 +34,13 @@ from ..scene.site import observation_of, read_recordings, scoring_of, standing_s
 from ..sensors.model import model_names
 from ..traffic import Recording, Vehicles, joined_recordings
 from ..traffic.vehicles import SAME_S, no_vehicles
-from ..world.blender.objects import holds, is_lidar
+from ..world.blender.objects import holds, is_lidar, is_shown
 from ..world.blender.road import ground_of, hidden_ground
 from ..world.blender.site import open_scenery
+from ..world.blender.traffic import show_recording, starts_at, traffic_object
 from . import properties
 
+CLIP = "i80_sample.csv.gz", "i80_drive.csv.gz"  # what is searched, and 20 s of the same that are played
 _SAME_FRAME = 1e-3  # of the timeline
 _SAME_M, _SAME_ROTATION = 2e-4, 1e-5  # nearer, a LiDAR hangs as it was hung
 _RECORDINGS: dict[str, tuple[str, list[Recording], Recording]] = {}  # by scene: what they were read with, and as one
@@ -393,33 +395,47 @@ def deployment_table(lidar: bpy.types.Object, *, held: bool = False) -> dict[str
 
 
 def recordings_of(scene: bpy.types.Scene) -> list[Recording]:
-    """The recordings of a scene, read again where its settings have changed or the file was opened again.
+    """The recordings that are searched, read again where settings have changed or the file was opened again.
 
     Raises
     ------
     BlenderLidarError
         Where none is chosen, or one cannot be read.
     """
-    return _read(scene)[0]
+    scenario = scenario_from(scene)
+    return _read(scene, scenario, searched=with_clip(scenario, scene.blender_lidar.clip) is not scenario)[0]
 
 
 def recording_of(scene: bpy.types.Scene) -> Recording:
-    """The same as one recording."""
-    return _read(scene)[1]
+    """The traffic that the timeline plays, as one recording; read again like `recordings_of`."""
+    return _read(scene, with_clip(scenario_from(scene), scene.blender_lidar.clip))[1]
 
 
-def _read(scene):
-    scenario, key = scenario_from(scene), uid_of(scene)
-    of = _read_with(scenario)
+def with_clip(scenario: Scenario, clip: bool) -> Scenario:
+    """Settings with the traffic that the timeline plays, in the example, with `clip`, the 20 s beside its own."""
+    path = Path(scenario.traffic.path)
+    if not clip or path.name != CLIP[0]:
+        return scenario
+    return replace(scenario, traffic=replace(scenario.traffic, path=str(path.with_name(CLIP[1]))))
+
+
+def _read(scene, scenario, *, searched=False):
+    key, of = f"{uid_of(scene)}{' searched' if searched else ''}", _read_with(scenario)
     if key not in _RECORDINGS or _RECORDINGS[key][0] != of:
-        keep(scene, scenario, read_recordings(scenario))
+        _keep(key, scenario, read_recordings(scenario))
+        if not searched:
+            show_traffic(scene, again=True)
     return _RECORDINGS[key][1:]
 
 
-def keep(scene: bpy.types.Scene, scenario: Scenario, recordings: list[Recording]) -> Recording:
-    """Keep traffic that has just been read with a scene's settings; returns it as one recording."""
+def keep(scene: bpy.types.Scene, recordings: list[Recording]) -> Recording:
+    """Keep the traffic that the timeline plays, which has just been read; returns it as one recording."""
+    return _keep(uid_of(scene), with_clip(scenario_from(scene), scene.blender_lidar.clip), recordings)
+
+
+def _keep(key, scenario, recordings):
     joined = joined_recordings(recordings, [one.name or "" for one in scenario.recordings])
-    _RECORDINGS[uid_of(scene)] = _read_with(scenario), recordings, joined
+    _RECORDINGS[key] = _read_with(scenario), recordings, joined
     return joined
 
 
@@ -452,6 +468,8 @@ def since_of(scene: bpy.types.Scene) -> float:
 def vehicles_of(scene: bpy.types.Scene) -> Vehicles:
     """The vehicles at the timeline's time: a recorded instant's, or between two; none in a gap, or without traffic.
 
+    There are none either where the object that shows them was hidden or deleted.
+
     Raises
     ------
     BlenderLidarError
@@ -459,7 +477,34 @@ def vehicles_of(scene: bpy.types.Scene) -> Vehicles:
     """
     if not scene.blender_lidar.loaded:
         return no_vehicles(shown_frame(scene), seconds_of(scene))
-    return recording_of(scene).moment(since_of(scene))
+    found = recording_of(scene).moment(since_of(scene))
+    return found if is_traffic_shown(scene) else no_vehicles(found.frame, found.time_s)
+
+
+def is_traffic_shown(scene: bpy.types.Scene) -> bool:
+    """Whether a scene shows its vehicles, in views and in renders."""
+    item = traffic_object(scene)
+    return item is not None and is_shown(scene, view_layer_of(scene), item)
+
+
+def check_traffic_is_shown(scene: bpy.types.Scene) -> None:
+    """Refuse to search or judge traffic that is not shown."""
+    if not is_traffic_shown(scene):
+        what = "deleted; Load brings it back" if traffic_object(scene) is None else "hidden; show it"
+        raise InputError(f"Vehicles: the traffic was {what}: what is not shown is not scanned")
+
+
+def show_traffic(scene: bpy.types.Scene, *, again: bool = False) -> None:
+    """Let what shows the traffic have that of the timeline's time; `again` where anything but the time has changed.
+
+    Raises
+    ------
+    BlenderLidarError
+        Where the traffic cannot be read.
+    """
+    group, item = scene.blender_lidar, traffic_object(scene)
+    if item is not None and (again or not starts_at(item, since_of(scene), group.starts_s)):
+        show_recording(scene, recording_of(scene), group.world.detail, since_of(scene), group.starts_s)
 
 
 def shown_frame(scene: bpy.types.Scene) -> int:
@@ -504,7 +549,8 @@ def start_clock(scene: bpy.types.Scene, recording: Recording, frame: int) -> Non
 
 def time_text(scene: bpy.types.Scene) -> str:
     """What the panel says of the timeline's time: whether an instant is there, or any traffic."""
-    text, since_s = f"At {since_of(scene):.2f} s", since_of(scene)
+    since_s = since_of(scene)
+    text = f"At {round(since_s, 2) + 0.0:.2f} s"
     if uid_of(scene) not in _RECORDINGS:
         return text
     recording = _RECORDINGS[uid_of(scene)][-1]

@@ -161,7 +161,7 @@ def run_build(args: argparse.Namespace) -> int:
     detections = _detections(args.detections, [sensor.mounting for sensor in sensors])
     moment = fused_moment(scenario, sensors, frames[0], with_cloud=not args.no_cloud, detections=detections)
     moment = replace(moment, since_s=float(recording.since_s[recording.frames.searchsorted(frames[0].frame)]))
-    scene.save_blend(args.out, moment, frames if animated else (), recording.time_step_s)
+    scene.save_blend(args.out, moment, recording.where(np.isin(recording.frame, numbers)) if animated else None)
     clouds = [] if args.no_cloud else [len(one.points["xyz"]) for one in (moment, *moment.further)]
     points = f"{sum(clouds)} points" if clouds else "no cloud"
     moving = f" driving through {len(frames)} frames" if animated else ""

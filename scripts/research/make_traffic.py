@@ -288,16 +288,20 @@ def add_neighbours(table: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def to_ngsim(rows: np.ndarray, vehicles: pd.DataFrame) -> pd.DataFrame:
-    """The rows of `read_fcd` as an NGSIM table, by frame and vehicle, whose ids ascend by entry into the section."""
-    rows = rows[np.lexsort((-rows[:, 2], rows[:, 0]))]
+def to_ngsim(rows: np.ndarray, vehicles: pd.DataFrame, whole: np.ndarray | None = None) -> pd.DataFrame:
+    """The rows of `read_fcd` as an NGSIM table, by frame and vehicle, whose ids ascend by entry into the section.
+
+    With `whole`, the rows of another table of the same simulation, vehicles have the ids that they have in that.
+    """
+    rows, whole = (of[np.lexsort((-of[:, 2], of[:, 0]))] for of in (rows, rows if whole is None else whole))
     frame, number, x_m, y_m, speed, acceleration = rows.T
+    order = pd.unique(np.concatenate([whole[:, 1], number]))
     driver = vehicles.loc[number].reset_index(drop=True)
     y_m = y_m + driver.offset_m + WEAVE_M * np.sin(2 * math.pi * x_m / driver.weave_length_m + driver.weave_phase)
     local_x, local_y = -y_m / FOOT_M, pd.Series(x_m / FOOT_M)
     table = pd.DataFrame(
         {
-            "Vehicle_ID": pd.factorize(number)[0] + 1,
+            "Vehicle_ID": pd.Index(order).get_indexer(number) + 1,
             "Frame_ID": frame.astype(int),
             "Total_Frames": pd.Series(number).groupby(number).transform("size"),
             "Global_Time": GLOBAL_TIME_MS + 100 * frame.astype(int),
@@ -346,7 +350,8 @@ def make_traffic(
 ) -> pd.DataFrame:
     """NGSIM table of an instant every `every_s` and, `neighbour_s` before and after it, its two neighbours.
 
-    With `dense_s` it is of the instants between those two times alone, one every `neighbour_s`, of the same simulation.
+    With `dense_s` it is of the instants between those two times alone, one every `neighbour_s`, of the same simulation;
+    vehicles have the same ids.
     """
     every, neighbour = whole_steps(every_s, "--every-s"), whole_steps(neighbour_s, "--neighbour-s")
     length = whole_steps(minutes * 60, "--minutes, in seconds,")
@@ -358,13 +363,14 @@ def make_traffic(
     end_s = (warm_up + length + neighbour) * STEP_S + 1.0
     shifts = (-neighbour, 0, neighbour)
     frames = {warm_up + k + shift: k + shift for k in range(every, length + 1, every) for shift in shifts}
+    dense = {}
     if dense_s is not None:
         first, last = (whole_steps(value, "--dense-s") for value in dense_s)
         if not 0 < neighbour <= last - first <= last <= length:
             raise InputError(
                 f"--dense-s {dense_s[0]:g} {dense_s[1]:g}: allowed are two times up to --minutes, the first first"
             )
-        frames = {warm_up + k: k for k in range(first, last + 1, neighbour)}
+        dense = {warm_up + k: k for k in range(first, last + 1, neighbour)}
     rng = np.random.default_rng(seed)
     vehicles = draw_vehicles(rng, level, end_s)
     with tempfile.TemporaryDirectory(prefix="make_traffic_") as name:
@@ -373,7 +379,8 @@ def make_traffic(
         write_routes(folder, vehicles)
         write_signs(folder, rng, level, end_s)
         simulate(folder, seed, level.warm_up_s, end_s, math.gcd(every, neighbour) * STEP_S)
-        return to_ngsim(read_fcd(folder / "fcd.xml", frames), vehicles)
+        rows = read_fcd(folder / "fcd.xml", frames)
+        return to_ngsim(read_fcd(folder / "fcd.xml", dense), vehicles, rows) if dense else to_ngsim(rows, vehicles)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -23,7 +23,6 @@ from .objects import (
     plain,
     set_inputs,
 )
-from .traffic import key_visibility, shown_at
 
 _NAME = "Detections"
 # Linear RGB by kind, like no paint of vehicles and no colour of points on them.
@@ -49,7 +48,7 @@ def show_detections(scene: bpy.types.Scene, boxes: DetectedBoxes | None) -> None
 
 
 def animate_detections(
-    scene: bpy.types.Scene, of_frame: Mapping[int, DetectedBoxes], frames: Sequence[int], time_step_s: float
+    scene: bpy.types.Scene, of_frame: Mapping[int, DetectedBoxes], frames: Sequence[int], since_s: Sequence[float]
 ) -> None:
     """Wire boxes of several frames, in place of earlier ones, each frame's from its moment to the next frame's.
 
@@ -58,23 +57,29 @@ def animate_detections(
     of_frame : mapping of int to DetectedBoxes
         By the numbers of their frames; those of other frames are left out.
     frames : sequence of int
-        That the scene's vehicles drive through, as `traffic.animate` shows them.
-    time_step_s : float
-        Time between consecutive frame numbers [s].
+        That the scene's vehicles drive through.
+    since_s : sequence of float
+        When each of them is, since the first, which is at the beginning of the scene's animation [s].
     """
     show_detections(scene, None)
-    for number, following in pairwise([*frames, None]):
+    times = [scene.frame_start + since * scene.render.fps for since in since_s]
+    for number, (at, end) in zip(frames, pairwise([*times, None]), strict=True):
         if number not in of_frame:
             continue
         item = _new_boxes(scene, f"{_NAME} {number}", of_frame[number])
-        first = shown_at(number, frames[0], time_step_s, scene.render.fps)
         if number != frames[0]:
-            key_visibility(item, shown=False, at=scene.frame_start)
-        key_visibility(item, shown=True, at=first)
-        if following is not None:
-            end = shown_at(following, frames[0], time_step_s, scene.render.fps)
-            key_visibility(item, shown=False, at=end)
+            _key_visibility(item, shown=False, at=scene.frame_start)
+        _key_visibility(item, shown=True, at=at)
+        if end is not None:
+            _key_visibility(item, shown=False, at=end)
     scene.frame_set(scene.frame_start)
+
+
+def _key_visibility(item, *, shown, at):
+    """From a frame of the animation on let an object be shown, or not."""
+    item.hide_render = item.hide_viewport = not shown
+    item.keyframe_insert("hide_render", frame=at)
+    item.keyframe_insert("hide_viewport", frame=at)
 
 
 def _new_boxes(scene, name, boxes):

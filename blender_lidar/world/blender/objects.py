@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import bpy
 import numpy as np
@@ -18,7 +18,6 @@ from ..scenery import Scenery
 # --- What an object of ours stands for, kept in a custom property, so that a scene can be read back and shown again -
 
 KEY = "blender_lidar_role"  # custom property of our objects and collections
-VEHICLE_ID, SHAPE = "vehicle_id", "shape"  # further ones of vehicles
 VEHICLE, ROAD_ROLE, MARKING, STANDING = "vehicle", "road", "marking", "scenery"
 SENSOR, PART, FAN, CLOUD, STAGE = "lidar", "lidar part", "beam fan", "cloud", "stage"
 DETECTION_ROLE = "detections"
@@ -69,6 +68,21 @@ def add_object(
     made[KEY], made.parent = of or role(into), parent
     into.objects.link(made)
     return made
+
+
+def rendered_collections(collection: bpy.types.Collection) -> Iterator[bpy.types.Collection]:
+    """A collection and those below it, except for those that renders hide."""
+    if not collection.hide_render:
+        yield collection
+        for child in collection.children:
+            yield from rendered_collections(child)
+
+
+def is_shown(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, item: bpy.types.Object) -> bool:
+    """Whether both a view layer and renders show an object."""
+    if item.hide_render or not item.visible_get(view_layer=layer):
+        return False
+    return any(item.name in one.objects for one in rendered_collections(scene.collection))
 
 
 def only_for_the_eye(item: bpy.types.Object) -> None:
@@ -194,10 +208,11 @@ def new_mesh(
 
 
 def add_attribute(mesh: bpy.types.Mesh, name: str, values: np.ndarray) -> None:
-    """Give every vertex a number, (n,): whole ones become INT, others FLOAT. It may have one of that name and kind."""
-    whole = values.dtype.kind in "iu"
-    attribute = mesh.attributes.get(name) or mesh.attributes.new(name, "INT" if whole else "FLOAT", "POINT")
-    attribute.data.foreach_set("value", np.ascontiguousarray(values, dtype=np.int32 if whole else np.float32))
+    """Give every vertex a number, (n,), or a vector, (n, 3): whole ones become INT; it may have that one already."""
+    whole, key = values.dtype.kind in "iu", "value" if values.ndim == 1 else "vector"
+    kind = "INT" if whole else "FLOAT" if values.ndim == 1 else "FLOAT_VECTOR"
+    attribute = mesh.attributes.get(name) or mesh.attributes.new(name, kind, "POINT")
+    attribute.data.foreach_set(key, np.ascontiguousarray(values, dtype=np.int32 if whole else np.float32).ravel())
 
 
 # --- Materials, plain ones by name ---------------------------------------------------------------------------

@@ -62,7 +62,7 @@ def colours_by(name: str, points: Mapping[str, np.ndarray]) -> np.ndarray:
         elsewhere = _ramp(points["range"] / _FADED_M, _FADING)
         colours[:, :3] = np.where(points["vehicle"][:, None] >= 0, colours_of(values), elsewhere)
     elif name in _NAMED:
-        turned = np.fmod(_numbers(values).astype(np.float32), np.float32(_AFTER)) * np.float32(_GOLDEN)
+        turned = np.fmod(numbers_of(values).astype(np.float32), np.float32(_AFTER)) * np.float32(_GOLDEN)
         colours[:, :3] = np.where(values[:, None] >= 0, _ramp(turned - np.floor(turned), _HUES), _GREY)
     elif name == "intensity":
         colours[:, :3] = _ramp(np.sqrt(values), _VIRIDIS)
@@ -126,11 +126,11 @@ def write_cloud(mesh: bpy.types.Mesh, points: Mapping[str, np.ndarray]) -> None:
         stored.data.foreach_set("vector", places)
     for name, values in points.items():
         if name != "xyz":
-            add_attribute(mesh, name, _numbers(values) if name == "vehicle" else values)
+            add_attribute(mesh, name, numbers_of(values) if name == "vehicle" else values)
     mesh.update()
 
 
-def _numbers(vehicle_id: np.ndarray) -> np.ndarray:
+def numbers_of(vehicle_id: np.ndarray) -> np.ndarray:
     """Vehicle ids, or numbers in their order where one does not fit into an attribute's 32 bits; -1 stays."""
     if len(vehicle_id) == 0 or vehicle_id.max() < 2**31:
         return vehicle_id
@@ -159,7 +159,7 @@ def set_style(cloud: bpy.types.Object, style: str) -> None:
 
 
 def set_look(cloud: bpy.types.Object, inputs: Mapping[str, object]) -> None:
-    """Set inputs of the node group that shows a cloud, by their names; those that it does not have are left out."""
+    """Set inputs of the geometry nodes that show a cloud, or traffic, by their names; those not there are left out."""
     for shows in cloud.modifiers:
         for one in _inputs(shows.node_group) if shows.type == "NODES" and shows.node_group else ():
             if one.name not in inputs:
@@ -178,7 +178,7 @@ def _inputs(group):
     return [one for one in group.interface.items_tree if one.item_type == "SOCKET" and one.in_out == "INPUT"]
 
 
-def _socket(group, kind, name, direction="INPUT"):
+def add_socket(group, kind, name, direction="INPUT"):
     """A socket of the group's own."""
     if hasattr(group, "interface"):
         group.interface.new_socket(name=name, in_out=direction, socket_type=f"NodeSocket{kind}")
@@ -252,8 +252,8 @@ def _points() -> bpy.types.NodeTree:
     tree = bpy.data.node_groups.new(_GROUP, "GeometryNodeTree")
     numbers = dict.fromkeys(("Radius", "Range From", "Range To"), "Float")
     for name, kind in {"Geometry": "Geometry", "Material": "Material", "Color By": "String", **numbers}.items():
-        _socket(tree, kind, name)
-    _socket(tree, "Geometry", "Geometry", direction="OUTPUT")
+        add_socket(tree, kind, name)
+    add_socket(tree, "Geometry", "Geometry", direction="OUTPUT")
     if hasattr(tree, "is_modifier"):
         tree.is_modifier = True
     given = node(tree, "NodeGroupInput").outputs

@@ -12,7 +12,7 @@ import numpy as np
 from ...road.road_map import Lane, RoadMap
 from ..meshes import ROAD
 from .nodes import light_nothing, math_of, node, output, ramp_of
-from .objects import MARKING, ROAD_ROLE, add_object, clear, collection, new_mesh, plain, road_frame, role
+from .objects import MARKING, ROAD_ROLE, add_object, clear, collection, is_shown, new_mesh, plain, road_frame, role
 
 _SHOULDER_M = 2.0
 _VERGE_M = 60.0  # beyond the shoulders
@@ -67,10 +67,8 @@ def ground_of(scene: bpy.types.Scene) -> bpy.types.Collection | None:
 
 def hidden_ground(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[str]:
     """The parts of a scene's ground, such as Surface and Verge, that a view layer or renders hide, or that are gone."""
-    into, shown = ground_of(scene), set()
-    for item in into.objects if into and not into.hide_render else ():
-        if not item.hide_render and not item.hide_viewport and item.visible_get(view_layer=layer):
-            shown.add(item.get(_PART))
+    into = ground_of(scene)
+    shown = {item.get(_PART) for item in into.objects if is_shown(scene, layer, item)} if into else set()
     return [name for name in into[_PART].split(", ") if name not in shown] if into else []
 
 

@@ -20,7 +20,7 @@ from ...sensors.beams import BeamLattice
 from ...sensors.pose import Pose
 from ...signals import stops_end_at_once
 from ...traffic.boxes import DetectedBoxes
-from ...traffic.vehicles import Vehicles
+from ...traffic.vehicles import Recording, Vehicles
 from ..scenery import Scenery
 from .detections import animate_detections, show_detections
 from .nodes import math_of, node, output, ramp_of
@@ -44,7 +44,7 @@ from .objects import (
 from .points import show_cloud
 from .quiet import first_error, quiet
 from .road import HAZE, build_road, middle_of
-from .traffic import animate, show_vehicles
+from .traffic import has_no_more, show_recording, show_still
 
 # --- Cameras, light and viewports: a scene that looks right without touching a setting --------------------
 
@@ -297,7 +297,7 @@ def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     reach_m = max(_LEAST_REACH_M, gate_m) + away_m
     build_road(scene, moment.road, middle[:2], _HORIZON_M if moment.road.endless else reach_m, _HORIZON_M)
     build_scenery(scene, moment.scenery)
-    show_vehicles(scene, moment.vehicles, moment.detail)
+    show_still(scene, moment.vehicles, moment.detail)
     clear(collection(scene, "LiDAR", SENSOR))
     for number, one in enumerate(each):
         lidar = build_lidar(scene, one.lattice, one.pose, one.name)
@@ -313,16 +313,18 @@ def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
         layer.update()
 
 
-def save_blend(path: str | Path, moment: Moment, frames: Sequence[Vehicles] = (), time_step_s: float = 0.1) -> None:
+_WHOLE_FRAMES_S = 1e-4
+_FPS = (24, 25, 30, 50, 60)  # pictures per second that an animation may have, the first where no other suits
+
+
+def save_blend(path: str | Path, moment: Moment, played: Recording | None = None) -> None:
     """Write a moment as a .blend file that shows at once what is in it; what Blender held before is gone.
 
     Parameters
     ----------
-    frames : sequence of Vehicles
-        Frames that the vehicles drive through, as an animation that begins with the first, and that detections are
-        shown of; none lets them stand.
-    time_step_s : float
-        Time between consecutive frame numbers [s].
+    played : Recording, optional
+        What the vehicles drive through, at true speed from the first frame of the animation on, and that detections are
+        shown of; without it they stand. All its instants lie on whole frames where a usual frame rate allows it.
 
     Raises
     ------
@@ -330,10 +332,16 @@ def save_blend(path: str | Path, moment: Moment, frames: Sequence[Vehicles] = ()
         When the file cannot be written.
     """
     scene = empty_scene()
+    since_s = np.zeros(1) if played is None else played.since_s
+    off = {fps: np.abs(since_s * fps - np.round(since_s * fps)).max() for fps in _FPS}
+    scene.render.fps = next((fps for fps in _FPS if off[fps] < _WHOLE_FRAMES_S * fps), _FPS[0])
+    scene.frame_set(1)
     build_scene(scene, moment)
-    if frames:
-        animate(scene, frames, moment.detail, time_step_s=time_step_s)
-        animate_detections(scene, moment.detections, [vehicles.frame for vehicles in frames], time_step_s)
+    if played is not None:
+        scene.frame_start, scene.frame_end = 1, max(1, 1 + round(since_s[-1] * scene.render.fps))
+        show_recording(scene, played, moment.detail, 0.0, 1.0 / scene.render.fps)
+        has_no_more(scene)
+        animate_detections(scene, moment.detections, played.frames.tolist(), since_s.tolist())
     show_in_viewports(scene)
     files = bpy.context.preferences.filepaths
     backups, files.save_version = files.save_version, 0  # no copy, under another name, of what was in the file's place

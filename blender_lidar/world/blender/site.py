@@ -17,7 +17,7 @@ import numpy as np
 from ...errors import InputError, MissingFileError
 from ..meshes import GLASS, REFLECTIVITY, STRUCTURE, surface_of
 from ..scenery import NO_LABEL, Scenery, join
-from .objects import DISPLAY_ONLY, ROAD_ROLE, SURFACE_KEY, VEHICLE, role, to_road
+from .objects import DISPLAY_ONLY, ROAD_ROLE, SURFACE_KEY, VEHICLE, rendered_collections, role, to_road
 from .quiet import first_error, quiet
 from .road import hidden_ground
 
@@ -190,10 +190,8 @@ def visible_instances(
 
 def _rendered_objects(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
     """The objects in a collection and those below it, except for collections that renders hide."""
-    if not collection.hide_render:
-        yield from collection.objects
-        for child in collection.children:
-            yield from _rendered_objects(child)
+    for one in rendered_collections(collection):
+        yield from one.objects
 
 
 def _is_seen(instance: bpy.types.DepsgraphObjectInstance, rendered: set[bpy.types.Object]) -> bool:

@@ -1,22 +1,22 @@
-"""Vehicles as instances of shared meshes, and frames of a recording as an animation."""
+"""The traffic of a recording on Blender's timeline: instances on one mesh of points, which move without any Python."""
 
 from __future__ import annotations
-
-from collections.abc import Iterable, Sequence
 
 import bpy
 import numpy as np
 
+from ...road.road_map import wrap_angle
 from ...traffic.fleet import KIND_OF_BODY
-from ...traffic.vehicles import Vehicles
+from ...traffic.vehicles import SAME_S, Recording, Vehicles
 from ..meshes import GLASS
 from ..shapes import shape
 from ..triangles import shape_names
+from .nodes import math_of, node, output
 from .objects import (
-    SHAPE,
     VEHICLE,
-    VEHICLE_ID,
+    add_attribute,
     add_object,
+    clear,
     collection,
     frame_of,
     glass,
@@ -25,139 +25,178 @@ from .objects import (
     paint_of,
     wear_own_paint,
 )
-from .points import colours_of
+from .points import add_socket, numbers_of, set_look
 
-_FPS = 24  # pictures per second of an animation
-
-
-def show_vehicles(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "body") -> list[bpy.types.Object]:
-    """Let the scene's vehicles be those of a frame.
-
-    A vehicle that is there already, in the same shape, is moved; others are made, and those that have left are removed.
-
-    Returns
-    -------
-    list of Object
-        One for each vehicle, in the frame's order.
-    """
-    into, frame = collection(scene, "Vehicles", VEHICLE), frame_of(scene)
-    present = {(item[VEHICLE_ID], item[SHAPE]): item for item in into.objects if VEHICLE_ID in item}
-    shown = []
-    for (vehicle_id, name), centre, size, heading in _rows(vehicles):
-        item = present.pop((vehicle_id, f"{name} {detail}"), None)
-        item = item or _new_vehicle(into, frame, vehicle_id, name, detail)
-        item.animation_data_clear()
-        item.hide_render = item.hide_viewport = False
-        item.location, item.scale, item.rotation_euler = centre, size, (0.0, 0.0, heading)
-        shown.append(item)
-    bpy.data.batch_remove(present.values())
-    return shown
+_NAME = "Vehicles"
+_WINDOW = "blender_lidar_window"  # custom property: between which times of the recording the mesh has its traffic [s]
+_BODIES = "blender_lidar_bodies"  # and the collection of what stands for vehicles
+MOST_SEGMENTS = 300_000  # in a mesh at once: more would make .blend files and undo slow
+_BEHIND = 0.25  # share of them from before the moment shown
+_EVER_S = 1e9
 
 
-def colour_vehicles(items: Iterable[bpy.types.Object], entropy_bits: np.ndarray | None) -> None:
-    """Colour vehicles by their PE-VGOP (n,) [bits], as points on them are coloured; None gives them their paint again.
-
-    In solid view the viewport has to show the colours of objects; in Eevee and Cycles their paint does.
-    """
-    if entropy_bits is None:
-        for item in items:
-            wear_own_paint(item)
-        return
-    for item, colour in zip(items, colours_of(entropy_bits).tolist(), strict=True):
-        item.color = (*colour, 1.0)
+def traffic_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The object that shows a scene's traffic; None where nothing is loaded, or it was deleted."""
+    return next((item for item in scene.objects if item.get(_WINDOW) is not None), None)
 
 
-def animate(scene: bpy.types.Scene, frames: Sequence[Vehicles], detail: str = "body", *, time_step_s: float) -> None:
-    """Let the scene's vehicles drive through several frames of a recording, played at true speed.
+def starts_at(item: bpy.types.Object, since_s: float, starts_s: float) -> bool:
+    """Let a recording's traffic begin at a second of the timeline; False where its object does not have a moment."""
+    low, high, origin_s = item[_WINDOW]
+    set_look(item, {"Start": starts_s + origin_s})
+    return low <= since_s < high
 
-    Vehicles are shown from the first to the last of the frames that they are in, and move evenly in between.
+
+def show_recording(scene: bpy.types.Scene, recording: Recording, detail: str, since_s: float, starts_s: float) -> None:
+    """Let the timeline move a recording's vehicles: at every time those of `Recording.moment`.
+
+    They are instances on a mesh that has a vertex for each box: its vehicle from that instant to the next, `begin` to
+    `end` [s], how far it gets, `move` [m], `heading` and `turn` [rad], `size` [m], `body`, a place in the collection of
+    bodies, and `vehicle`. Of more than `MOST_SEGMENTS` it holds those about a moment.
 
     Parameters
     ----------
-    frames : sequence of Vehicles
-        In the order of time.
-    time_step_s : float
-        Time between consecutive frame numbers [s].
+    scene : Scene
+    recording : Recording
+    detail : str
+        Level of detail of the vehicles' shapes.
+    since_s : float
+        The moment, on the recording's clock [s].
+    starts_s : float
+        Second of the timeline at which the recording begins.
     """
-    show_vehicles(scene, frames[0].select(np.zeros(len(frames[0]), dtype=bool)), detail)
-    into, frame = collection(scene, "Vehicles", VEHICLE), frame_of(scene)
-    moving: dict[str, bpy.types.Object] = {}
-    last_seen: dict[str, float] = {}
-    start = frames[0].frame
-    scene.render.fps, scene.frame_start = _FPS, 1
-    for vehicles in frames:
-        at = shown_at(vehicles.frame, start, time_step_s, _FPS)
-        for (vehicle_id, name), centre, size, heading in _rows(vehicles):
-            item = moving.get(vehicle_id)
-            if item is None:
-                moving[vehicle_id] = item = _new_vehicle(into, frame, vehicle_id, name, detail)
-                item.scale, item.rotation_euler.z = size, heading
-                key_visibility(item, shown=False, at=at - 1.0)
-                key_visibility(item, shown=True, at=at)
-            item.location = centre
-            item.rotation_euler.z = heading + _whole_turns(item.rotation_euler.z - heading)
-            item.keyframe_insert("location", frame=at)
-            item.keyframe_insert("rotation_euler", frame=at)
-            last_seen[vehicle_id] = at
-    end = max(last_seen.values(), default=1.0)
-    for vehicle_id, at in last_seen.items():
-        if at < end:
-            key_visibility(moving[vehicle_id], shown=False, at=at + 1.0)
-    for item in moving.values():
-        _join_keys_by_straight_lines(item)
-    scene.frame_end = max(1, round(end))
-    scene.frame_set(1)
+    clock, rows = recording.since_s, np.append(0, np.cumsum(recording.counts))
+    at = max(int(np.searchsorted(clock, since_s, side="right")) - 1, 0)
+    first = int(np.searchsorted(rows, rows[at] - _BEHIND * MOST_SEGMENTS))
+    last = int(np.searchsorted(rows, rows[first] + MOST_SEGMENTS, side="right")) - 1
+    last = max(last, at + 1)  # even of an instant with more than that
+    part = slice(rows[first], rows[last])
+    after = recording.next_row[part]
+    begin, origin_s = np.repeat(clock[first:last], recording.counts[first:last]), float(clock[first])
+    goes_on = after >= 0
+    end = np.where(goes_on, clock[np.searchsorted(recording.frames, recording.frame[after])], begin + 2.0 * SAME_S)
+    there = np.where(goes_on, after, np.arange(rows[first], rows[last]))
+    there = {name: getattr(recording, name)[there] for name in ("centre_m", "heading_rad")}
+    boxes = Vehicles(0, 0.0, **{name: getattr(recording, name)[part] for name in _OF_BOXES})
+    _write(scene, boxes, there, begin - origin_s, end - origin_s, detail)
+    low, high = -_EVER_S if first == 0 else clock[first], _EVER_S if last == len(clock) else clock[last] - SAME_S
+    item = traffic_object(scene)
+    item[_WINDOW] = [low, high, origin_s]
+    starts_at(item, since_s, starts_s)
 
 
-def shown_at(number: int, first: int, time_step_s: float, fps: float) -> float:
-    """When a frame of a recording is shown: in frames of the animation that begins with the recording's `first`."""
-    return 1.0 + (number - first) * time_step_s * fps
+_OF_BOXES = ("vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane", "body")
 
 
-def _rows(vehicles):
-    """Of each vehicle its id and shape, and its box: what takes the unit box there."""
-    names = zip(map(str, vehicles.vehicle_id.tolist()), shape_names(vehicles).tolist(), strict=True)
-    box = vehicles.centre_m.tolist(), vehicles.size_m.tolist(), vehicles.heading_rad.tolist()
-    return zip(names, *box, strict=True)
+def show_still(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "body") -> None:
+    """Let a scene show the vehicles of one moment at all times, as `show_recording` does."""
+    there = {"centre_m": vehicles.centre_m, "heading_rad": vehicles.heading_rad}
+    ever = np.full(len(vehicles), _EVER_S)
+    _write(scene, vehicles, there, -ever, ever, detail)
+    has_no_more(scene)
 
 
-def _whole_turns(angle: float) -> float:
-    """The multiple of a full turn nearest to an angle [rad]: headings must not spin from +180 to -180 degrees."""
-    turn = 2.0 * np.pi
-    return turn * round(angle / turn)
+def has_no_more(scene: bpy.types.Scene) -> None:
+    """Say of what shows a scene's traffic that it has but a part of what was recorded: `starts_at` is False then."""
+    item = traffic_object(scene)
+    item[_WINDOW] = [0.0, 0.0, item[_WINDOW][2]]
 
 
-def key_visibility(item: bpy.types.Object, *, shown: bool, at: float) -> None:
-    """From a frame of the animation on let an object be shown, or not."""
-    item.hide_render = item.hide_viewport = not shown
-    item.keyframe_insert("hide_render", frame=at)
-    item.keyframe_insert("hide_viewport", frame=at)
+def _write(scene, boxes, there, begin, end, detail):
+    """Let the mesh of a scene's vehicles hold boxes, and places and headings at their end."""
+    item = traffic_object(scene) or _new_object(scene)
+    mesh = item.data
+    mesh.clear_geometry()
+    mesh.vertices.add(len(boxes))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(boxes.centre_m, dtype=np.float32).ravel())
+    names, body = np.unique(shape_names(boxes), return_inverse=True)
+    values = {"begin": begin, "end": end, "heading": boxes.heading_rad, "size": boxes.size_m, "body": body}
+    values |= {"move": there["centre_m"] - boxes.centre_m, "vehicle": numbers_of(boxes.vehicle_id)}
+    values["turn"] = wrap_angle(there["heading_rad"] - boxes.heading_rad)
+    for name, value in values.items():
+        add_attribute(mesh, name, value)
+    mesh.update()
+    _fill_bodies(item[_BODIES], names.tolist(), detail)
+    item.update_tag()
 
 
-def _join_keys_by_straight_lines(item: bpy.types.Object) -> None:
-    """Let an object move evenly from key to key; Blender's own choice starts and stops at each."""
-    action = item.animation_data.action
-    holders = [action]
-    if not hasattr(action, "fcurves"):  # from Blender 5 on
-        holders = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
-    curves = [curve for holder in holders for curve in holder.fcurves]
-    for curve in curves:
-        for key in curve.keyframe_points:
-            key.interpolation = "LINEAR"
-        curve.update()
+def _new_object(scene):
+    into = collection(scene, _NAME, VEHICLE)
+    clear(into)
+    item = add_object(into, _NAME, new_mesh(_NAME, np.empty((0, 3)), np.empty((0, 3), dtype=int)))
+    item.parent = frame_of(scene)
+    item.hide_select = True
+    item.lock_location = item.lock_rotation = item.lock_scale = (True, True, True)
+    item.modifiers.new("Traffic", "NODES").node_group = made_once(bpy.data.node_groups, "traffic", _nodes)
+    item[_BODIES], item[_WINDOW] = bpy.data.collections.new("Vehicle bodies"), [0.0, 0.0, 0.0]
+    set_look(item, {"Bodies": item[_BODIES]})
+    return item
 
 
-def _new_vehicle(into, frame, vehicle_id, name, detail):
-    """A new object; all vehicles of a shape share a mesh."""
-    title = f"{name} {detail}"
+# --- What stands for vehicles: an object for each shape, in a collection that is in no scene --------------------------
+
+
+def _fill_bodies(into, names, detail):
+    """Let a collection of bodies have one for each of some shapes, named so that Blender too has them in that order."""
+    wanted = [f"{number:02d} {name} {detail}" for number, name in enumerate(names)]
+    if [item.get(_TITLE) for item in into.objects] == wanted:
+        return
+    bpy.data.batch_remove(list(into.objects))
+    for title, name in zip(wanted, names, strict=True):
+        body_object(into, name, detail, title)[_TITLE] = title
+
+
+_TITLE = "blender_lidar_body"  # custom property of a body
+
+
+def body_object(into: bpy.types.Collection, name: str, detail: str, title: str) -> bpy.types.Object:
+    """The object in a collection of bodies that stands for the vehicles of a shape: it fills the unit box."""
+    kind = KIND_OF_BODY[name]
 
     def make():
         unit = shape(name, detail)
-        kind = KIND_OF_BODY[name]
         paints = [paint_of("truck" if kind == "long_truck" else kind), glass()]
-        return new_mesh(title, unit.vertices, unit.faces, paints, unit.surface == GLASS)
+        return new_mesh(f"{name} {detail}", unit.vertices, unit.faces, paints, unit.surface == GLASS)
 
-    item = add_object(into, f"{name} {vehicle_id}", made_once(bpy.data.meshes, title, make), parent=frame)
-    item[VEHICLE_ID], item[SHAPE] = vehicle_id, title  # as texts: numbers would have to fit into 32 bits
+    item = add_object(into, title, made_once(bpy.data.meshes, f"{name} {detail}", make), VEHICLE)
     wear_own_paint(item)
     return item
+
+
+# --- Nodes ------------------------------------------------------------------------------------------------------------
+
+
+def _nodes() -> bpy.types.NodeTree:
+    """The node group that keeps the points of the time shown, and places a body on each."""
+    tree = bpy.data.node_groups.new("Traffic", "GeometryNodeTree")
+    add_socket(tree, "Geometry", "Geometry")
+    add_socket(tree, "Float", "Start")
+    add_socket(tree, "Collection", "Bodies")
+    add_socket(tree, "Geometry", "Geometry", direction="OUTPUT")
+
+    def read(name, kind="FLOAT"):
+        return output(tree, "GeometryNodeInputNamedAttribute", {"Name": name}, data_type=kind)
+
+    given = node(tree, "NodeGroupInput").outputs
+    now = math_of(tree, "SUBTRACT", output(tree, "GeometryNodeInputSceneTime"), given["Start"])
+    begin, end = read("begin"), read("end")
+    soon = math_of(tree, "ADD", now, SAME_S)  # as `Recording.moment`, which takes what is this near for an instant
+    begun, over = math_of(tree, "LESS_THAN", soon, begin), math_of(tree, "LESS_THAN", soon, end)
+    kept = {0: given["Geometry"], 1: math_of(tree, "SUBTRACT", over, begun)}
+    points = output(tree, "GeometryNodeSeparateGeometry", kept, domain="POINT")
+    passed = output(tree, "ShaderNodeMapRange", {0: now, 1: begin, 2: end, 3: 0.0, 4: 1.0}, clamp=True)
+    move = {0: read("move", "FLOAT_VECTOR"), "Scale": passed}
+    move = output(tree, "ShaderNodeVectorMath", move, operation="SCALE")
+    points = output(tree, "GeometryNodeSetPosition", {"Geometry": points, "Offset": move})
+    heading = math_of(tree, "MULTIPLY_ADD", read("turn"), passed, read("heading"))
+    bodies = {"Collection": given["Bodies"], "Separate Children": True}
+    placed = {
+        "Points": points,
+        "Instance": output(tree, "GeometryNodeCollectionInfo", bodies),
+        "Pick Instance": True,
+        "Instance Index": read("body", "INT"),
+        "Rotation": output(tree, "ShaderNodeCombineXYZ", {"Z": heading}),
+        "Scale": read("size", "FLOAT_VECTOR"),
+    }
+    node(tree, "NodeGroupOutput", {0: output(tree, "GeometryNodeInstanceOnPoints", placed)})
+    return tree
