@@ -23,6 +23,7 @@ from tests import (
     addon_checks_hanging,
     addon_checks_settings,
     addon_checks_timeline,
+    addon_checks_vehicles,
 )
 from tests.addon_sample import FOLDER, new_file
 
@@ -32,6 +33,7 @@ _MODULES = (
     addon_checks_files,
     addon_checks_settings,
     addon_checks_timeline,
+    addon_checks_vehicles,
 )
 CHECKS = {name: check for module in _MODULES for name, check in vars(module).items()}
 

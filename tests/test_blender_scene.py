@@ -29,7 +29,7 @@ from blender_lidar.world.blender.points import show_cloud, write_cloud
 from blender_lidar.world.blender.scene import build_scene, empty_scene, render_picture, save_blend
 from blender_lidar.world.blender.site import read_site, visible_triangles
 from blender_lidar.world.blender.traffic import show_recording, show_still, starts_at, traffic_object
-from blender_lidar.world.meshes import GLASS
+from blender_lidar.world.meshes import GLASS, STRUCTURE
 from blender_lidar.world.scenery import road_surface
 from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import shape_names, vehicle_triangles
@@ -77,10 +77,12 @@ def test_what_goes_out_and_comes_back_in_is_hit_the_same(scene, detail):
     sent = hits(np.concatenate([vehicles.corners, SCENERY.corners]), owner)
     centres, _, _, _ = shown_vehicles(scene)
     nearest = [int(np.abs(TRAFFIC.centre_m - centre).sum(axis=1).argmin()) for centre in centres]
-    is_body = [name.endswith(f" {detail}") for name in back.names]
+    is_body = np.array([name.endswith(f" {detail}") for name in back.names])
     of_object = np.full(len(back.names), len(TRAFFIC))
     of_object[is_body] = nearest
-    came = hits(back.corners, of_object[back.owner])
+    scanned = ~(is_body[back.owner] & (back.surface == STRUCTURE))  # wheels of lofted bodies are for the eye alone
+    assert scanned.all() == (detail != "body")
+    came = hits(back.corners[scanned], of_object[back.owner[scanned]])
     both = np.isfinite(sent[0]) & np.isfinite(came[0])
     assert both.sum() > 500
     assert np.count_nonzero(np.isfinite(sent[0]) != np.isfinite(came[0])) <= 2  # float32 moves edges by a hair

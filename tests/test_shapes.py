@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from blender_lidar.casting import caster_class
 from blender_lidar.errors import InputError
-from blender_lidar.traffic.fleet import FLEET
+from blender_lidar.traffic.fleet import FLEET, KIND_OF_BODY
 from blender_lidar.traffic.vehicles import CLASSES, FLEET_KINDS, fleet_kind
 from blender_lidar.world.detailed_shapes import Axle, lower_body
 from blender_lidar.world.meshes import (
@@ -27,7 +27,7 @@ from blender_lidar.world.meshes import (
     tube,
     volume,
 )
-from blender_lidar.world.shapes import DETAILS, SHAPES, shape
+from blender_lidar.world.shapes import DETAILS, SHAPES, shape, wheels
 from blender_lidar.world.triangles import STATIC, vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 
@@ -283,3 +283,16 @@ def test_an_axle_cuts_an_arch_of_its_radius_into_the_sides_and_nothing_else():
     assert 0.0 < taken < np.pi * 0.36**2 * 0.3  # less than half a cylinder, 0.3 m deep, on both sides
     for axis in range(3):
         assert np.ptp(cut.vertices[:, axis]) == np.ptp(bare.vertices[:, axis])
+
+
+@pytest.mark.parametrize("name", KIND_OF_BODY)
+def test_wheels_stand_on_the_road_proud_of_their_body_and_change_nothing_that_is_scanned(name):
+    before, made = shape(name, "body").vertices.copy(), wheels(name)
+    assert (len(made) == 2) == (KIND_OF_BODY[name] not in ("motorcycle", "bicycle", "pedestrian"))
+    for part in made:
+        assert np.abs(part.vertices[:, 0]).max() < 0.5
+        assert volume(part.vertices[part.faces]) > 0.0
+        assert 0.3 < np.abs(part.vertices[:, 1]).max() < 0.51
+    for tires in made[:1]:
+        assert tires.vertices[:, 2].min() == pytest.approx(-0.5)
+    np.testing.assert_array_equal(shape(name, "body").vertices, before)

@@ -11,7 +11,7 @@ import inspect
 import bpy
 
 _MODULES = ("properties", "preferences", "operators", "panels", "coverage", "optimising", "handlers", "live", "baking")
-_MODULES += ("gizmos",)
+_MODULES += ("gizmos", "vehicles")
 _registered = []
 
 

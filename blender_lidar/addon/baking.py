@@ -106,6 +106,8 @@ def _bake(scene, lidar) -> bool:
     of += map(session.stamp, scenario.files.values())
     for one in (objects[0].scenery,) if objects else ():
         of += [one.digest, one.labels, hashlib.sha256(np.ascontiguousarray(one.label)).digest()]
+    if bodies := session.own_bodies(scene, again=True):
+        of += [bodies.digests]
     of += [np.asarray(getattr(vehicles, one.name)).tolist() for one in fields(vehicles)]
     digest = hashlib.sha256(repr(of).encode()).hexdigest()
     path = folder_of(lidar) / f"frame_{scene.frame_current:04d}{scene.blender_lidar.bake_format}"

@@ -120,7 +120,8 @@ def show_site(scene: bpy.types.Scene, recording: Recording, frame: int, scenery:
         item.hide_select = True  # it shows what the file says; moving it would move nothing that is scanned
     group.loaded = True
     session.start_clock(scene, recording, frame)
-    show_recording(scene, recording, group.world.detail, session.since_of(scene), group.starts_s)
+    place = group.world.detail, session.since_of(scene), group.starts_s
+    show_recording(scene, recording, *place, session.bodies_shown(scene))
 
 
 def show_loaded(scene: bpy.types.Scene) -> Recording:
@@ -482,7 +483,9 @@ def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Vehicles]:
     lidar = session.active_lidar(scene)
     vehicles, hung = checked_mount(scene, lidar)[-1], session.layout_of(scene, lidar)
     whole, layout = session.layout_scenario(scene, hung), tuple(map(properties.mounting_of, hung))
-    sensors = mounted_sensors(whole, layout, open_scenery(scene, bpy.context.view_layer))
+    sensors = mounted_sensors(
+        whole, layout, open_scenery(scene, bpy.context.view_layer), session.own_bodies(scene, again=True)
+    )
     return sensors[hung.index(lidar)], vehicles
 
 
@@ -552,7 +555,8 @@ class BLENDER_LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator
         check_unused(Path(self.directory), "folder", "run")
         objects = open_scenery(scene, context.view_layer)
         scenario, recordings = session.layout_scenario(scene, hung), session.recordings_of(scene)
-        site = prepare(scenario, layout, scenery=objects, recordings=recordings)
+        bodies = session.own_bodies(scene, again=True)
+        site = prepare(scenario, layout, scenery=objects, recordings=recordings, bodies=bodies)
         with RunFolder(self.directory).locked() as folder:
             result = evaluate_site(site, folder, layout)
         self.report({"INFO"}, f"{self.directory}: objective {result['objective']:.1f} {result['metric_unit']}")

@@ -27,6 +27,7 @@ from bpy.app.handlers import persistent
 from bpy.props import BoolProperty
 
 from ..casting import BVH, resolve
+from ..casting.instances import OwnBodies
 from ..commands.background import heard
 from ..compiled import within_blender
 from ..errors import InputError
@@ -102,7 +103,7 @@ class Optimisation:
         What went wrong, in a line.
     """
 
-    def __init__(self, scenario: Scenario, scenery: Scenery) -> None:
+    def __init__(self, scenario: Scenario, scenery: Scenery, bodies: OwnBodies | None = None) -> None:
         use = scenario.search
         self.done, self.total, self.best, self.result, self.problem = 0, 0, None, None, ""
         self._recent: deque[tuple[float, int]] = deque()  # when how many were done
@@ -116,7 +117,7 @@ class Optimisation:
         names = [*DECLARED, *(f"lidar {number}" for number in range(1, len(scenario.lidars) + 1))]
         keys = [(name, key) for name in names for key in ("", "x_m, y_m", *DECLARED[name.split()[0]])]
         labels = {place: scenario.where(*place) for place in keys}
-        order = {"scenario": replace(scenario, where=None), "labels": labels, "scenery": scenery}
+        order = {"scenario": replace(scenario, where=None), "labels": labels, "scenery": scenery, "bodies": bodies}
         (self._root / _ORDER).write_bytes(pickle.dumps(order))
         in_blender = resolve(scenario.model.caster) == BVH or bool(scenario.world.blend or scenario.world.mesh)
         code = f"os._exit(main({str(self._root / _ORDER)!r}, {str(self.folder)!r}))"
@@ -252,7 +253,7 @@ def begin(scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object, *, alone: 
     several, spaces = scenario.further_lidars, scenario.deployment.spaces
     if all(one.is_held for one in scenario.lidars) if several else not all(space.variables for space in spaces):
         raise InputError("LiDAR panel: Optimize: every coordinate is fixed; switch at least one on")
-    return Optimisation(scenario, open_scenery(scene, layer))
+    return Optimisation(scenario, open_scenery(scene, layer), session.own_bodies(scene, again=True))
 
 
 def keep_result(hung: Sequence[bpy.types.Object], job: Optimisation) -> None:

@@ -35,6 +35,7 @@ from ..scene.deployment import MOUNTING_OR_LEAN, SEARCHED, facing_deg
 from ..scene.mounting import COORDINATES, LEANS, Mounting, changed_mounting, hung_at, mounting_from
 from ..scene.settings import DECLARED, GATE
 from ..toml_table import Setting
+from ..traffic.vehicles import FLEET_KINDS
 from ..world.blender import objects
 from ..world.blender.objects import hang, lidars, pose_of
 from ..world.blender.points import STYLES
@@ -285,6 +286,19 @@ class BLENDER_LIDAR_PG_region(bpy.types.PropertyGroup):
         }
 
 
+class BLENDER_LIDAR_PG_vehicles(bpy.types.PropertyGroup):
+    """Bodies of the user's own, a collection for each kind of vehicle."""
+
+
+for _kind in FLEET_KINDS:
+    BLENDER_LIDAR_PG_vehicles.__annotations__[_kind] = PointerProperty(
+        name=label_of(_kind),
+        type=bpy.types.Collection,
+        update=_changed("world"),
+        description="Collection that is shown and scanned in place of the body of each such vehicle, fitted to its box",
+    )
+
+
 def _shown_frame(group):
     from . import session
 
@@ -374,6 +388,7 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
 for _table in TABLES:
     BLENDER_LIDAR_PG_scene.__annotations__[_table] = PointerProperty(type=GROUPS[_table])
 BLENDER_LIDAR_PG_scene.__annotations__["region"] = PointerProperty(type=BLENDER_LIDAR_PG_region)
+BLENDER_LIDAR_PG_scene.__annotations__["vehicles"] = PointerProperty(type=BLENDER_LIDAR_PG_vehicles)
 
 
 # --- A LiDAR ------------------------------------------------------------------------------------------------------
@@ -569,6 +584,7 @@ for _key, _declared in SEARCHABLE.items():
 
 classes = (
     *GROUPS.values(),
+    BLENDER_LIDAR_PG_vehicles,
     BLENDER_LIDAR_PG_region,
     BLENDER_LIDAR_PG_pointer,
     BLENDER_LIDAR_PG_scene,

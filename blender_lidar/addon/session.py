@@ -18,6 +18,7 @@ from typing import Any
 import bpy
 
 from ..casting import resolve
+from ..casting.instances import OwnBodies
 from ..casting.protocol import StandingScenery
 from ..clouds.live import DRAG_M, FusedScores, LiveFrame, Look
 from ..errors import InputError
@@ -33,7 +34,8 @@ from ..scene.settings import DATASHEET, GATE, SensorSettings, is_sensor_file
 from ..scene.site import observation_of, read_recordings, scoring_of, standing_scenery
 from ..sensors.model import model_names
 from ..traffic import Recording, Vehicles, joined_recordings
-from ..traffic.vehicles import SAME_S, no_vehicles
+from ..traffic.vehicles import FLEET_KINDS, SAME_S, no_vehicles
+from ..world.blender.bodies import OwnBody, body_of, kept_body
 from ..world.blender.objects import holds, is_lidar, is_shown
 from ..world.blender.road import ground_of, hidden_ground
 from ..world.blender.site import open_scenery
@@ -45,6 +47,7 @@ _SAME_FRAME = 1e-3  # of the timeline
 _SAME_M, _SAME_ROTATION = 2e-4, 1e-5  # nearer, a LiDAR hangs as it was hung
 _RECORDINGS: dict[str, tuple[str, list[Recording], Recording]] = {}  # by scene: what they were read with, and as one
 _OBJECTS: dict[str, tuple[tuple[str, str], StandingScenery]] = {}  # by scene: the user's own
+_BODIES: dict[str, tuple[object, dict[str, OwnBody], OwnBodies | None]] = {}  # by scene: vehicles' bodies of their own
 _FRAMES: dict[str, tuple[str, str, Mounting, LiveFrame]] = {}  # by LiDAR: what and where it was made for
 _TRUSTED: set[tuple[Path, bytes]] = set()  # Python files with their content, in this session
 _REFUSED: list[Path] = []  # the one that was refused last
@@ -297,6 +300,10 @@ def fill_scene(scene: bpy.types.Scene, tables: Mapping[str, Any], folder: str, s
         group.region.centre_m, group.region.radius_m = region.centre_m, region.radius_m
         own |= {"centre_m": region.centre_m, "radius_m": GATE if group.region.with_gate else region.radius_m}
     kept = {name: table for name, table in tables.items() if name not in ("sensor", "deployment", "lidar")}
+    kept["world"] = {key: value for key, value in kept.get("world", {}).items() if key != "vehicles"}  # which are here:
+    for kind in FLEET_KINDS:
+        of = scenario.world.bodies.get(kind)
+        setattr(group.vehicles, kind, of and kept_body(*of, f"{scenario.where('world', 'vehicles')} {kind}"))
     kept |= {"region": own, "baseline": found.get("baseline", {}), "road": found["road"]}
     properties.keep_tables(group, kept, folder, fields_of(scene))
     group.schema = properties.SCHEMA
@@ -504,7 +511,8 @@ def show_traffic(scene: bpy.types.Scene, *, again: bool = False) -> None:
     """
     group, item = scene.blender_lidar, traffic_object(scene)
     if item is not None and (again or not starts_at(item, since_of(scene), group.starts_s)):
-        show_recording(scene, recording_of(scene), group.world.detail, since_of(scene), group.starts_s)
+        place = group.world.detail, since_of(scene), group.starts_s
+        show_recording(scene, recording_of(scene), *place, bodies_shown(scene))
 
 
 def shown_frame(scene: bpy.types.Scene) -> int:
@@ -573,15 +581,16 @@ def live_frame(scene: bpy.types.Scene, lidar: bpy.types.Object, *, exact: bool =
         For settings, traffic or a frame that cannot be used.
     """
     hung, vehicles, key = layout_of(scene, lidar), vehicles_of(scene), uid_of(lidar)
+    bodies = own_bodies(scene, again=exact)
     whole, layout = layout_scenario(scene, hung), [properties.mounting_of(one) for one in hung]
     scenario, mounting = whole.alone(hung.index(lidar)), layout[hung.index(lidar)]
     tables, stamps = scenario.as_tables(), [stamp(path) for path in scenario.files.values()]
     tables = {name: tables[name] for name in tables if name not in ("deployment", "search", "lidar")}
-    of = repr((tables, scenario.lidar_name, moment_key(vehicles), stamps))
+    of = repr((tables, scenario.lidar_name, bodies and bodies.digests, moment_key(vehicles), stamps))
     about = repr((layout, [one.deployment for one in whole.lidars])) if exact and scenario.world.clutter else ""
     before = _FRAMES.get(key)
     if before is None or before[0] != of or (about and before[1] != about) or dragged_off(lidar, mounting):
-        _FRAMES[key] = of, about, mounting, _made_ready(scenario, vehicles, whole, layout)
+        _FRAMES[key] = of, about, mounting, _made_ready(scenario, vehicles, whole, layout, bodies)
     return _FRAMES[key][-1]
 
 
@@ -598,14 +607,42 @@ def dragged_off(lidar: bpy.types.Object, mounting: Mounting) -> bool:
     )
 
 
-def _made_ready(scenario: Scenario, vehicles: Vehicles, whole: Scenario, layout: list[Mounting]) -> LiveFrame:
+def _made_ready(scenario: Scenario, vehicles: Vehicles, whole: Scenario, layout: list[Mounting], bodies) -> LiveFrame:
     caster, region = resolve(scenario.model.caster, "caster"), region_of(scenario.region, scenario.road_map)
     counted = region.holds(vehicles) & of_scored_class(vehicles, scenario.objective)
     frame = CountedFrame(vehicles, counted, vehicle_weights(vehicles, scenario.objective))
     scenery = standing_scenery(whole, caster, layout, margin_m=2.0 * DRAG_M)
-    observation = observation_of(scenario, caster, scenery)
+    observation = observation_of(scenario, caster, scenery, bodies=bodies)
     scoring = scoring_of(scenario) if frame.counted.any() else None
     return LiveFrame(frame, observation, scoring, ground=scenario.plane_returns)
+
+
+def bodies_shown(scene: bpy.types.Scene, *, again: bool = False) -> dict[str, OwnBody]:
+    """Vehicles' bodies of the user's own by kind, as their collections were last; as they are now if read `again`.
+
+    Raises
+    ------
+    InputError
+        For a collection that is no body.
+    """
+    group, key = scene.blender_lidar.vehicles, uid_of(scene)
+    chosen = {kind: of for kind in FLEET_KINDS if (of := getattr(group, kind)) is not None}
+    uids, before = {kind: uid_of(of) for kind, of in chosen.items()}, _BODIES.get(key)
+    if before is None or again or before[0] != uids:
+        found = {kind: body_of(of, properties.where("vehicles", kind)) for kind, of in chosen.items()}
+        own = OwnBodies({kind: body.shape for kind, body in found.items()}) if found else None
+        if before and before[2] and own and before[2].digests == own.digests:
+            own = before[2]  # with its trees
+        _BODIES[key] = uids, found, own
+        if before and before[2] is not own:
+            show_traffic(scene, again=True)
+    return _BODIES[key][1]
+
+
+def own_bodies(scene: bpy.types.Scene, *, again: bool = False) -> OwnBodies | None:
+    """The meshes of `bodies_shown`, None without any, ready to be cast against."""
+    bodies_shown(scene, again=again)
+    return _BODIES[uid_of(scene)][2]
 
 
 def exact_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, scenario: Scenario) -> list[StandingScenery]:
@@ -653,5 +690,5 @@ def store_layout(scene, hung: list[bpy.types.Object], frames: list[LiveFrame], l
 
 def forget() -> None:
     """Let go of all that is kept."""
-    for kept in (_RECORDINGS, _FRAMES, _OBJECTS, _FUSED):
+    for kept in (_RECORDINGS, _FRAMES, _OBJECTS, _BODIES, _FUSED):
         kept.clear()

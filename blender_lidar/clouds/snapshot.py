@@ -95,13 +95,16 @@ class MountedSensor:
             settings=self.scenario.with_whole_paths(),
             name=self.scenario.lidar_name or "LiDAR",
             detections=detections,
+            bodies=self.scenario.world.bodies,
         )
 
 
-def mounted_sensors(scenario: Scenario, layout: Layout, more: Scenery | None = None) -> tuple[MountedSensor, ...]:
-    """Each of the scene's sensors at its mounting: all see the same scenery."""
+def mounted_sensors(
+    scenario: Scenario, layout: Layout, more: Scenery | None = None, bodies: OwnBodies | None = None
+) -> tuple[MountedSensor, ...]:
+    """Each of the scene's sensors at its mounting: all see the same scenery, and `bodies`, read unless given."""
     caster = resolve(scenario.model.caster, "caster")
-    scenery, bodies = standing_scenery(scenario, caster, layout, more), read_bodies(scenario)
+    scenery, bodies = standing_scenery(scenario, caster, layout, more), bodies or read_bodies(scenario)
     each = zip(scenario.each, layout, strict=True)
     stands = caster, scenery, bodies
     return tuple(MountedSensor(one, mounting, lattice_of(one.sensor), *stands) for one, mounting in each)

@@ -71,7 +71,7 @@ def main(order: str, folder: str) -> int:
         given = pickle.loads(Path(order).read_bytes())
         labels = given["labels"]
         scenario = replace(given["scenario"], where=lambda table, key: labels.get((table, key), f"[{table}] {key}"))
-        site = prepare(scenario, scenery=given["scenery"])
+        site = prepare(scenario, scenery=given["scenery"], bodies=given["bodies"])
         with RunFolder(folder).locked() as run:
             optimise_site(site, run, _Listener())
             write_pages(site, run, lambda note: None)

@@ -16,7 +16,7 @@ from ..errors import unknown_name
 from ..names import DETAILS
 from ..traffic.fleet import KIND_OF_BODY
 from .detailed_shapes import detailed_shape
-from .meshes import Shape, block, tube
+from .meshes import Shape, block, both_sides, drum, joined, tube
 
 SHAPES = ("car", "van", "truck", "long_truck", "bus", "motorcycle", "bicycle", "pedestrian")
 
@@ -208,6 +208,37 @@ _BODIES = {
         (1.00, 0.46, 0.49, 0.44, 0.40, 0.72, False, False),
     ),
 }
+
+
+# Of each kind of lofted vehicle its usual size, and of its wheels radius and places along it, 0 tail and 1 nose [m].
+_WHEELS = {
+    "car": ((4.5, 1.8, 1.5), 0.32, (0.2, 0.8)),
+    "van": ((5.1, 2.0, 1.9), 0.34, (0.2, 0.8)),
+    "truck": ((8.0, 2.5, 3.0), 0.45, (0.22, 0.87)),
+    "long_truck": ((16.0, 2.6, 3.8), 0.5, (0.11, 0.19, 0.27, 0.76, 0.92)),
+    "bus": ((12.0, 2.5, 3.2), 0.48, (0.28, 0.77)),
+}
+_PROUD_M, _HUB, _DEEP_M = 0.005, 0.55, 0.3
+
+
+def wheels(name: str) -> tuple[Shape, ...]:
+    """Tires and hubs of a body, for the eye alone: some millimetres proud of its flanks, in the unit box; or none."""
+    if KIND_OF_BODY[name] not in _WHEELS:
+        return ()
+    size, radius, places = _WHEELS[KIND_OF_BODY[name]]
+    along, sill, belt, _, belt_height, *_ = np.array(_BODIES[name], dtype=float).T
+    found = []
+    for out, share in ((_PROUD_M, 1.0), (2.0 * _PROUD_M, _HUB)):
+        parts = []
+        for place in places:
+            x = place + np.linspace(-1.0, 1.0, 9) * radius / size[0]
+            low, high, top = (np.interp(x, along, column) for column in (sill, belt, belt_height))
+            flank = (low + (high - low) * np.minimum(2.0 * radius / size[2] / top, 1.0)).max()
+            middle = (size[0] * (place - 0.5), size[1] * flank + out - 0.5 * _DEEP_M, radius - 0.5 * size[2])
+            parts += both_sides(drum(middle, share * radius, _DEEP_M, 24))
+        made = joined(parts)
+        found.append(Shape(made.vertices / size, made.faces, made.surface))
+    return tuple(found)
 
 
 def _loft(stations) -> Shape:

@@ -5,14 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import bpy
 import numpy as np
 
 from ...errors import InputError, MissingFileError, unknown_name
 from ..meshes import PAINT, STRUCTURE, Shape
+from .objects import made_once
 from .quiet import quiet
 from .site import check_version, linked, visible_triangles
+
+
+class OwnBody(NamedTuple):
+    """A collection, what is visible of it as one mesh in the unit box, and the fit, (4, 4), that takes it there."""
+
+    collection: bpy.types.Collection
+    shape: Shape
+    fit: np.ndarray
 
 
 def fit_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -31,8 +41,8 @@ def fit_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return fit
 
 
-def body_of(collection: bpy.types.Collection, where: str) -> tuple[Shape, np.ndarray]:
-    """What is visible of a collection as one mesh in the unit box, and the fit that takes the collection there.
+def body_of(collection: bpy.types.Collection, where: str) -> OwnBody:
+    """What is visible of a collection, fitted into the unit box.
 
     Parameters
     ----------
@@ -62,7 +72,7 @@ def body_of(collection: bpy.types.Collection, where: str) -> tuple[Shape, np.nda
     vertices = found.corners.reshape(-1, 3) @ fit[:3, :3].T + fit[:3, 3]
     faces = np.arange(len(vertices)).reshape(-1, 3)
     surface = np.where(found.surface == STRUCTURE, PAINT, found.surface).astype(np.uint8)  # what has no material
-    return Shape(np.clip(vertices, -0.5, 0.5), faces, surface), fit
+    return OwnBody(collection, Shape(np.clip(vertices, -0.5, 0.5), faces, surface), fit)
 
 
 def read_body(file: str, name: str, where: str) -> Shape:
@@ -74,7 +84,17 @@ def read_body(file: str, name: str, where: str) -> Shape:
         Naming `where`, when there is no such file, nothing of that name in it, or no body in that.
     """
     with quiet(), _named(file, name, where, link=True) as found:
-        return body_of(found, where)[0]
+        return body_of(found, where).shape
+
+
+def kept_body(file: str, name: str, where: str) -> bpy.types.Collection:
+    """The same as a collection, in no scene, that is copied into this file unless it was before; errors likewise."""
+
+    def make():
+        with quiet(), _named(file, name, where, link=False) as found:
+            return found
+
+    return made_once(bpy.data.collections, f"{Path(file).resolve()}/{name}", make)
 
 
 @contextmanager
@@ -98,10 +118,12 @@ def _named(file: str, name: str, where: str, *, link: bool) -> Iterator[bpy.type
         if here.collections:
             yield here.collections[0]
             return
-        made = around(next(item for item in here.objects if item is not None and item.name == name))
-        yield made
-        if link:
-            bpy.data.collections.remove(made)
+        made = around(here.objects[there.index(name) - len(there)])  # a copy may be called otherwise
+        try:
+            yield made
+        finally:
+            if link:
+                bpy.data.collections.remove(made)
 
 
 def around(item: bpy.types.Object) -> bpy.types.Collection:

@@ -262,15 +262,8 @@ def plain(name: str, colour: tuple[float, float, float], surface: int = STRUCTUR
 
 
 def paint_of(vehicle_class: str) -> bpy.types.Material:
-    """The paint of a class of vehicles, which takes on the colour of each object, at first that of the class."""
-    material = plain(f"Paint {vehicle_class}", CLASS_COLOURS[vehicle_class], PAINT, 0.35)
-    tree = material.node_tree
-    if "Object Info" not in tree.nodes:
-        own = tree.nodes.new("ShaderNodeObjectInfo")
-        own.name, own.location = "Object Info", (-250, 200)
-        shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
-        tree.links.new(own.outputs["Color"], shader.inputs["Base Color"])
-    return material
+    """The paint of a class of vehicles: instances by nodes have no colour of their own that renders would show."""
+    return plain(f"Paint {vehicle_class}", CLASS_COLOURS[vehicle_class], PAINT, 0.35)
 
 
 def wear_own_paint(item: bpy.types.Object) -> None:

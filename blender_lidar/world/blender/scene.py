@@ -22,6 +22,7 @@ from ...signals import stops_end_at_once
 from ...traffic.boxes import DetectedBoxes
 from ...traffic.vehicles import Recording, Vehicles
 from ..scenery import Scenery
+from .bodies import OwnBody, body_of, kept_body
 from .detections import animate_detections, show_detections
 from .nodes import math_of, node, output, ramp_of
 from .objects import (
@@ -259,6 +260,8 @@ class Moment:
         The same of the other LiDARs of a layout, of which sensor, mounting, points and name count.
     since_s : float
         When the frame is, on the clock of its recording [s].
+    bodies : mapping of str to (str, str)
+        Bodies of the user's by kind of vehicle: a .blend file and the name of an object or a collection in it.
     """
 
     road: RoadMap
@@ -274,6 +277,12 @@ class Moment:
     name: str = "LiDAR"
     further: tuple[Moment, ...] = ()
     since_s: float = 0.0
+    bodies: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def own_bodies(self) -> dict[str, OwnBody]:
+        """These, copied into this file."""
+        return {kind: body_of(kept_body(*place, place[0]), place[0]) for kind, place in self.bodies.items()}
 
 
 def empty_scene() -> bpy.types.Scene:
@@ -297,7 +306,7 @@ def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
     reach_m = max(_LEAST_REACH_M, gate_m) + away_m
     build_road(scene, moment.road, middle[:2], _HORIZON_M if moment.road.endless else reach_m, _HORIZON_M)
     build_scenery(scene, moment.scenery)
-    show_still(scene, moment.vehicles, moment.detail)
+    show_still(scene, moment.vehicles, moment.detail, moment.own_bodies)
     clear(collection(scene, "LiDAR", SENSOR))
     for number, one in enumerate(each):
         lidar = build_lidar(scene, one.lattice, one.pose, one.name)
@@ -339,7 +348,7 @@ def save_blend(path: str | Path, moment: Moment, played: Recording | None = None
     build_scene(scene, moment)
     if played is not None:
         scene.frame_start, scene.frame_end = 1, max(1, 1 + round(since_s[-1] * scene.render.fps))
-        show_recording(scene, played, moment.detail, 0.0, 1.0 / scene.render.fps)
+        show_recording(scene, played, moment.detail, 0.0, 1.0 / scene.render.fps, moment.own_bodies)
         has_no_more(scene)
         animate_detections(scene, moment.detections, played.frames.tolist(), since_s.tolist())
     show_in_viewports(scene)

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ...road.road_map import wrap_angle
 from ...traffic.fleet import KIND_OF_BODY
 from ...traffic.vehicles import SAME_S, Recording, Vehicles
-from ..meshes import GLASS
-from ..shapes import shape
+from ..meshes import GLASS, joined
+from ..shapes import shape, wheels
 from ..triangles import shape_names
+from .bodies import OwnBody
 from .nodes import math_of, node, output
 from .objects import (
+    HEAD,
+    METAL,
     VEHICLE,
     add_attribute,
     add_object,
@@ -23,6 +29,7 @@ from .objects import (
     made_once,
     new_mesh,
     paint_of,
+    plain,
     wear_own_paint,
 )
 from .points import add_socket, numbers_of, set_look
@@ -47,7 +54,14 @@ def starts_at(item: bpy.types.Object, since_s: float, starts_s: float) -> bool:
     return low <= since_s < high
 
 
-def show_recording(scene: bpy.types.Scene, recording: Recording, detail: str, since_s: float, starts_s: float) -> None:
+def show_recording(
+    scene: bpy.types.Scene,
+    recording: Recording,
+    detail: str,
+    since_s: float,
+    starts_s: float,
+    own: Mapping[str, OwnBody] | None = None,
+) -> None:
     """Let the timeline move a recording's vehicles: at every time those of `Recording.moment`.
 
     They are instances on a mesh that has a vertex for each box: its vehicle from that instant to the next, `begin` to
@@ -64,6 +78,8 @@ def show_recording(scene: bpy.types.Scene, recording: Recording, detail: str, si
         The moment, on the recording's clock [s].
     starts_s : float
         Second of the timeline at which the recording begins.
+    own : mapping of str to OwnBody, optional
+        Bodies of the user's in place of ours, by the kinds of vehicles that have them.
     """
     clock, rows = recording.since_s, np.append(0, np.cumsum(recording.counts))
     at = max(int(np.searchsorted(clock, since_s, side="right")) - 1, 0)
@@ -78,7 +94,7 @@ def show_recording(scene: bpy.types.Scene, recording: Recording, detail: str, si
     there = np.where(goes_on, after, np.arange(rows[first], rows[last]))
     there = {name: getattr(recording, name)[there] for name in ("centre_m", "heading_rad")}
     boxes = Vehicles(0, 0.0, **{name: getattr(recording, name)[part] for name in _OF_BOXES})
-    _write(scene, boxes, there, begin - origin_s, end - origin_s, detail)
+    _write(scene, boxes, there, begin - origin_s, end - origin_s, detail, own)
     low, high = -_EVER_S if first == 0 else clock[first], _EVER_S if last == len(clock) else clock[last] - SAME_S
     item = traffic_object(scene)
     item[_WINDOW] = [low, high, origin_s]
@@ -88,11 +104,11 @@ def show_recording(scene: bpy.types.Scene, recording: Recording, detail: str, si
 _OF_BOXES = ("vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane", "body")
 
 
-def show_still(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "body") -> None:
+def show_still(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "body", own=None) -> None:
     """Let a scene show the vehicles of one moment at all times, as `show_recording` does."""
     there = {"centre_m": vehicles.centre_m, "heading_rad": vehicles.heading_rad}
     ever = np.full(len(vehicles), _EVER_S)
-    _write(scene, vehicles, there, -ever, ever, detail)
+    _write(scene, vehicles, there, -ever, ever, detail, own)
     has_no_more(scene)
 
 
@@ -102,7 +118,7 @@ def has_no_more(scene: bpy.types.Scene) -> None:
     item[_WINDOW] = [0.0, 0.0, item[_WINDOW][2]]
 
 
-def _write(scene, boxes, there, begin, end, detail):
+def _write(scene, boxes, there, begin, end, detail, own):
     """Let the mesh of a scene's vehicles hold boxes, and places and headings at their end."""
     item = traffic_object(scene) or _new_object(scene)
     mesh = item.data
@@ -116,7 +132,7 @@ def _write(scene, boxes, there, begin, end, detail):
     for name, value in values.items():
         add_attribute(mesh, name, value)
     mesh.update()
-    _fill_bodies(item[_BODIES], names.tolist(), detail)
+    _fill_bodies(item[_BODIES], names.tolist(), detail, own)
     item.update_tag()
 
 
@@ -136,14 +152,27 @@ def _new_object(scene):
 # --- What stands for vehicles: an object for each shape, in a collection that is in no scene --------------------------
 
 
-def _fill_bodies(into, names, detail):
+def _fill_bodies(into, names, detail, own):
     """Let a collection of bodies have one for each of some shapes, named so that Blender too has them in that order."""
-    wanted = [f"{number:02d} {name} {detail}" for number, name in enumerate(names)]
+    own = own or {}
+    bodies = [own.get(kind) or own.get(kind.removeprefix("long_")) for kind in map(KIND_OF_BODY.get, names)]
+    titles = [f"{number:02d} {name} {detail}" for number, name in enumerate(names)]
+    wanted = [
+        f"{title} {of and (of.collection.name_full, of.fit.tolist())}" for title, of in zip(titles, bodies, strict=True)
+    ]
     if [item.get(_TITLE) for item in into.objects] == wanted:
         return
     bpy.data.batch_remove(list(into.objects))
-    for title, name in zip(wanted, names, strict=True):
-        body_object(into, name, detail, title)[_TITLE] = title
+    for title, name, of, made_of in zip(titles, names, bodies, wanted, strict=True):
+        (own_object(into, of, title) if of else body_object(into, name, detail, title))[_TITLE] = made_of
+
+
+def own_object(into: bpy.types.Collection, body: OwnBody, title: str) -> bpy.types.Object:
+    """The object in a collection of bodies that stands for vehicles with a body of the user's: it instances that."""
+    item = add_object(into, title, None, VEHICLE)
+    item.instance_type, item.instance_collection = "COLLECTION", body.collection
+    item.matrix_basis = Matrix(body.fit) @ Matrix.Translation(body.collection.instance_offset)
+    return item
 
 
 _TITLE = "blender_lidar_body"  # custom property of a body
@@ -155,8 +184,13 @@ def body_object(into: bpy.types.Collection, name: str, detail: str, title: str) 
 
     def make():
         unit = shape(name, detail)
+        parts = [unit, *(wheels(name) if detail == "body" else ())]  # with which it is shown, but not scanned
+        slots = np.repeat(np.arange(len(parts)) + 1, [len(part.faces) for part in parts])
+        slots[: len(unit.faces)] = unit.surface == GLASS
         paints = [paint_of("truck" if kind == "long_truck" else kind), glass()]
-        return new_mesh(f"{name} {detail}", unit.vertices, unit.faces, paints, unit.surface == GLASS)
+        paints += [plain("Tire", HEAD), plain("Hub", METAL, roughness=0.4)][: len(parts) - 1]
+        made = joined(parts)
+        return new_mesh(f"{name} {detail}", made.vertices, made.faces, paints, slots)
 
     item = add_object(into, title, made_once(bpy.data.meshes, f"{name} {detail}", make), VEHICLE)
     wear_own_paint(item)
