@@ -12,7 +12,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_lidar.addon import live, optimising, properties, session
+from blender_lidar.addon import gizmos, live, optimising, properties, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
@@ -325,3 +325,23 @@ def test_nothing_of_ours_is_translated_by_halves():
                 assert not getattr(given.get("translate"), "value", True), (path.name, node.lineno)
                 if node.func.attr in ("prop", "label"):  # a property's own name Blender 3.4 translates all the same
                     assert "text" in given, (path.name, node.lineno)
+
+
+def test_presets_keep_a_sensor_with_its_noise(tmp_path, monkeypatch):
+    monkeypatch.setattr("bpy.utils.user_resource", lambda *_, **__: str(tmp_path))
+    group = loaded(SCENES["circle"](tmp_path)).blender_lidar
+    group.name_, group.dropout, group.range_gate_m = "VLP-16", 0.25, 40.0
+    assert bpy.ops.blender_lidar.add_preset(name="Old VLP") == {"FINISHED"}
+    (kept,) = tmp_path.rglob("*.py")
+    group.name_, group.dropout, group.range_gate_m = "RS-16", 0.0, 60.0
+    exec(kept.read_text())
+    assert (group.name_, group.dropout, group.range_gate_m) == ("VLP-16", 0.25, 40.0)
+
+
+def test_gizmos_read_and_write_the_fields_of_the_active_lidar(tmp_path):
+    lidar = loaded(SCENES["circle"](tmp_path))
+    for key, value in (("height_m", 3.5), ("tilt_x_deg", 0.25), ("range_gate_m", 42.0)):
+        gizmos._set(key, value)
+        bpy.context.view_layer.update()
+        assert gizmos._value(key) == pytest.approx(value, abs=1e-4)
+    assert properties.mounting_of(lidar).height_m == pytest.approx(3.5)

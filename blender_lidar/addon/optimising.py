@@ -478,8 +478,7 @@ class BLENDER_LIDAR_PT_optimize(panels.OfTraffic, bpy.types.Panel):
                 layout.progress(factor=job.done / total, text=text, translate=False)
             else:
                 panels.say(layout, text)
-            panels.say(layout, "" if job.best is None else f"Best so far {job.best:.2f}")
-            panels.say(layout, job.outlook)
+            panels.say(layout, job.outlook if job.best is None else f"Best so far {job.best:.2f}. {job.outlook}")
             layout.operator("blender_lidar.cancel", icon="X", translate=False)
             return
         together = len(session.layout_of(scene, lidar)) > 1

@@ -218,7 +218,7 @@ class BLENDER_LIDAR_PT_scan(OfLidar, bpy.types.Panel):
             say(layout, "The cloud is the file's; Scan scores it." if built else "Not scanned yet.")
         else:
             say(layout, f"{group.points:,} points at {group.scanned_s:.2f} s")
-            if is_stale(scene, lidar):
+            if is_stale(scene, lidar) and not group.live:
                 say(layout, "Changed since: scan again.", icon="ERROR")
 
 
@@ -265,7 +265,7 @@ class BLENDER_LIDAR_PT_score(OfTraffic, bpy.types.Panel):
             say(box, f"Objective {group.objective:.2f}")
             say(box, f"Detectable {100 * group.detectable_share:.0f} % of {group.vehicles}")
             say(box, f"Over baseline {gain:+.2f}, {100 * more:+.0f} pp")
-            if is_stale(scene, lidar):
+            if is_stale(scene, lidar) and not group.live:
                 say(box, "Changed since: scan again.", icon="ERROR")
         base = shared.baseline
         own = {"height_m": base.height_m, "tilt_x_deg": math.degrees(base.tilt_x_deg)}
