@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import bpy
 import numpy as np
 
-from blender_lidar.addon import session
+from blender_lidar.addon import optimising, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.world.blender.objects import add_object, lidars, new_mesh
 from blender_lidar.world.blender.site import visible_triangles
 from blender_lidar.world.blender.traffic import traffic_object
-from tests.addon_sample import FOLDER, FRAME, OPTIONS, choose, loaded, new_file, refused
+from tests.addon_sample import FOLDER, FRAME, OPTIONS, choose, example, loaded, new_file, refused
 from tests.small_scene import without_times
 
 
@@ -87,6 +88,19 @@ def runs(path):
     assert bpy.ops.blender_lidar.export_run(directory=str(FOLDER / "run")) == {"FINISHED"}
     assert command_line(["evaluate", path, "--out", str(FOLDER / "evaluated"), *OPTIONS]) == 0
     return "run", "evaluated"
+
+
+def check_own_vehicles_are_searched_as_on_the_command_line():
+    path = example(world=cars_file())
+    scene = new_file()
+    scene.blender_lidar.traffic.path = str(path)
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
+    assert bpy.ops.blender_lidar.optimize() == {"FINISHED"}
+    assert command_line(["optimise", str(path), "--out", str(FOLDER / "line")]) == 0
+    folders = Path(optimising.found_of(lidars(scene)[0])["folder"]), FOLDER / "line"
+    one, other = (json.loads((folder / "result.json").read_text()) for folder in folders)
+    assert one["deployment"] == other["deployment"]
+    assert one["objective"] == other["objective"]
 
 
 def check_an_object_becomes_the_body_of_a_class_and_what_is_changed_of_it_is_seen_by_the_next_scan():
