@@ -140,7 +140,7 @@ def check_what_is_hidden_or_deleted_is_not_scanned_and_not_searched():
     np.testing.assert_array_equal(scanned(lidar)[0], xyz)
 
 
-def check_another_detail_or_variety_is_shown_at_once_as_it_is_scanned():
+def check_another_detail_variety_or_choice_of_vehicles_is_shown_at_once_as_it_is_scanned():
     scene, _ = loaded()
     for detail in ("box", "detailed", "body"):
         scene.blender_lidar.world.detail = detail
@@ -151,3 +151,7 @@ def check_another_detail_or_variety_is_shown_at_once_as_it_is_scanned():
     vehicles = session.vehicles_of(scene)
     assert len(set(vehicles.body.tolist())) > 2
     assert_shows(scene, vehicles)
+    scene.blender_lidar.traffic.leave_out = str(vehicles.vehicle_id[0])
+    left = session.vehicles_of(scene)
+    assert left.vehicle_id.tolist() == vehicles.vehicle_id[1:].tolist()
+    assert_shows(scene, left)

@@ -131,6 +131,17 @@ def test_its_vehicles_hardly_overlap(instants):
     assert overlaps <= 2
 
 
+def test_the_clip_is_20_s_of_the_same_simulation_with_the_same_numbers(sample):
+    clip = pd.read_csv(SAMPLE.with_name("i80_drive.csv.gz"))
+    np.testing.assert_array_equal(np.unique(clip["Frame_ID"]), np.arange(2500, 2701, 5))
+    assert clip.groupby("Frame_ID").size().min() > 130
+    assert set(clip["Location"]) == {"synthetic-i80"}
+    both = sample.merge(clip, on=["Vehicle_ID", "Frame_ID"])
+    assert len(both) == sample["Frame_ID"].isin(clip["Frame_ID"]).sum()
+    for name in ("Local_X", "Local_Y", "v_Length", "v_Width", "v_Class", "v_Vel"):
+        np.testing.assert_array_equal(both[f"{name}_x"], both[f"{name}_y"])
+
+
 def test_time_headway_of_a_stopped_follower_is_ngsims_9999_99():
     table = pd.DataFrame(
         {"Vehicle_ID": [1, 2, 3], "Frame_ID": 1, "Lane_ID": 2, "Local_Y": [90.0, 60.0, 20.0], "v_Vel": [0.0, 0.0, 10.0]}
@@ -162,6 +173,7 @@ def test_fcd_is_read_at_the_wanted_steps_and_inside_the_section_only(tmp_path):
     [
         (["--every-s", "0.8"], "--every-s 0.8"),
         (["--minutes", "nan"], "--minutes"),
+        (["--dense-s", "30", "20"], "--dense-s 30 20"),
         (["--out", "nowhere/there.csv"], "--out: nowhere/there.csv"),
     ],
 )
