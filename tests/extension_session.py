@@ -84,7 +84,7 @@ def used() -> dict[str, object]:
     assert lidar_ops.set_baseline() == {"FINISHED"}
     assert lidar_ops.load() == {"FINISHED"}
     assert lidar_ops.add() == {"FINISHED"}
-    assert lidar_ops.choose(name="LiDAR") == {"FINISHED"}
+    assert lidar_ops.select(name="LiDAR") == {"FINISHED"}
     with tempfile.TemporaryDirectory() as folder:
         assert lidar_ops.export_cloud(filepath=str(Path(folder) / "cloud.npz")) == {"FINISHED"}
         assert lidar_ops.export_labelled(directory=str(Path(folder) / "labelled")) == {"FINISHED"}
@@ -94,7 +94,7 @@ def used() -> dict[str, object]:
         bpy.ops.mesh.primitive_cube_add(location=(15.0, 15.0, 1.0))  # what hides vehicles
         search = scene.blender_lidar.search
         search.particles, search.iterations = 4, 2
-        assert lidar_ops.optimise() == {"FINISHED"}
+        assert lidar_ops.optimize() == {"FINISHED"}
         assert lidar_ops.apply() == {"FINISHED"}
         found["gain"] = round(json.loads(lidar.blender_lidar.found)["holdout"]["gain_over_baseline"], 3)
         assert lidar_ops.revert() == {"FINISHED"}

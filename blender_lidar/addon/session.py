@@ -44,6 +44,7 @@ from . import properties
 
 CLIP = "i80_sample.csv.gz", "i80_drive.csv.gz"  # what is searched, and 20 s of the same that are played
 _SAME_FRAME = 1e-3  # of the timeline
+_DIGITS_S = 6
 _SAME_M, _SAME_ROTATION = 2e-4, 1e-5  # nearer, a LiDAR hangs as it was hung
 _RECORDINGS: dict[str, tuple[str, list[Recording], Recording]] = {}  # by scene: what they were read with, and as one
 _OBJECTS: dict[str, tuple[tuple[str, str], StandingScenery]] = {}  # by scene: the user's own
@@ -469,7 +470,7 @@ def seconds_of(scene: bpy.types.Scene) -> float:
 
 def since_of(scene: bpy.types.Scene) -> float:
     """The time since the recording's first instant that the timeline shows [s]."""
-    return seconds_of(scene) - scene.blender_lidar.starts_s
+    return round(seconds_of(scene) - scene.blender_lidar.starts_s, _DIGITS_S) + 0.0
 
 
 def vehicles_of(scene: bpy.types.Scene) -> Vehicles:
@@ -558,7 +559,7 @@ def start_clock(scene: bpy.types.Scene, recording: Recording, frame: int) -> Non
 def time_text(scene: bpy.types.Scene) -> str:
     """What the panel says of the timeline's time: whether an instant is there, or any traffic."""
     since_s = since_of(scene)
-    text = f"At {round(since_s, 2) + 0.0:.2f} s"
+    text = f"At {since_s:.2f} s"
     if uid_of(scene) not in _RECORDINGS:
         return text
     recording = _RECORDINGS[uid_of(scene)][-1]
