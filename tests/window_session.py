@@ -22,7 +22,7 @@ import bpy
 ZIP, OUT = sys.argv[sys.argv.index("--") + 1], Path(sys.argv[sys.argv.index("--") + 2]).absolute()
 SIZE = (1400, 1000)
 # In a window of that size: the sidebar's third tab, and buttons in it.
-TAB, LOAD_EXAMPLE, SCAN = (1143, 199), (1030, 200), (995, 537)  # Scan: after the wheel has turned ten times
+TAB, LOAD_EXAMPLE, SCAN = (1143, 199), (1030, 200), (995, 631)  # Scan: after the wheel has turned ten times
 TOLD: dict[str, object] = {}
 
 
