@@ -3,9 +3,8 @@
 An update is all that happens after a LiDAR has moved: Blender evaluates, the add-on takes note, and `live.update()`
 casts, scores and colours; redraws are left out. Each case runs in processes of its own, with either commit in turn.
 
-    python scripts/research/benchmark_live.py                              with the module bpy
-    python scripts/research/benchmark_live.py --blender blender            with a Blender
-    python scripts/research/benchmark_live.py --only trees --against HEAD  some cases, against another commit
+    python scripts/research/benchmark_live.py --only trees --against HEAD
+    blender --background --factory-startup --python scripts/research/benchmark_live.py -- --only example
 """
 
 import argparse
@@ -15,10 +14,14 @@ import os
 import shutil
 import subprocess
 import sys
-import tarfile
 import tempfile
 import time
 from pathlib import Path
+
+import bmesh
+import bpy
+import numpy as np
+from mathutils import Matrix
 
 HERE = Path(__file__).resolve().parents[2]
 _RESULT = "benchmark_live: "
@@ -34,23 +37,20 @@ def main() -> int:
     """Carry it out; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--against", default="030385c", help="the other commit")
-    parser.add_argument("--blender", help="a Blender in place of the module bpy")
     parser.add_argument("--only", default="", help="cases with this in their names")
     parser.add_argument("--rounds", type=int, default=2, help="processes for each case and commit")
     parser.add_argument("--seconds", type=float, default=5.0, help="how long each of them times, at least two updates")
-    parser.add_argument("--case", help=argparse.SUPPRESS)  # of a process of its own
-    parser.add_argument("--tree", help=argparse.SUPPRESS)
-    parser.add_argument("--site", help=argparse.SUPPRESS)
+    for name in ("case", "tree", "site"):  # of a process of its own
+        parser.add_argument(f"--{name}", help=argparse.SUPPRESS)
     given = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
     args = parser.parse_args(given)
     if args.case:
         return timed(args)
     with tempfile.TemporaryDirectory() as folder:
         then = Path(folder, "then")
-        packed = subprocess.run(["git", "archive", args.against], cwd=HERE, capture_output=True, check=True).stdout
-        Path(folder, "then.tar").write_bytes(packed)
-        with tarfile.open(Path(folder, "then.tar")) as archive:
-            archive.extractall(then)
+        command = ["git", "archive", "-o", f"{then}.tar", args.against]
+        subprocess.run(command, cwd=HERE, check=True)
+        shutil.unpack_archive(f"{then}.tar", then)
         site = shutil.copytree(then / "scenes", Path(folder, "scenes")) / "i80.toml"  # the same for both
         print(f"| median (p95) | {args.against} | now | ratio |\n|---|---|---|---|")
         for name, (_, unit, both) in CASES.items():
@@ -60,27 +60,17 @@ def main() -> int:
             for _ in range(args.rounds):
                 for tree in (then, HERE) if both else (HERE,):
                     found.setdefault(tree, []).extend(in_a_process(args, name, tree, site))
-            told = {tree: quantiles(values, unit) for tree, values in found.items()}
-            ratio = f"{told[HERE][0] / told[then][0]:.3f}" if both else ""
-            before = told[then][1] if both else ""
-            print(f"| {name} [{unit}] | {before} | {told[HERE][1]} | {ratio} |", flush=True)
+            told = [told_of(found[tree], unit) if tree in found else "" for tree in (then, HERE)]
+            ratio = f"{np.median(found[HERE]) / np.median(found[then]):.3f}" if both else ""
+            print(f"| {name} [{unit}] | {' | '.join(told)} | {ratio} |", flush=True)
     return 0
 
 
 def in_a_process(args, name, tree, site):
     """What one process measures."""
     command = [sys.executable, __file__]
-    if args.blender:
-        command = [
-            args.blender,
-            "--background",
-            "--factory-startup",
-            "--python-exit-code",
-            "1",
-            "--python",
-            __file__,
-            "--",
-        ]
+    if bpy.app.binary_path:
+        command = [bpy.app.binary_path, "--background", "--factory-startup", "--python", __file__, "--"]
     command += ["--case", name, "--tree", str(tree), "--site", str(site), "--seconds", str(args.seconds)]
     done = subprocess.run(command, cwd=tree, capture_output=True, text=True, check=False)
     lines = [line for line in done.stdout.splitlines() if line.startswith(_RESULT)]
@@ -89,12 +79,10 @@ def in_a_process(args, name, tree, site):
     return json.loads(lines[-1].removeprefix(_RESULT))
 
 
-def quantiles(seconds, unit):
-    """Median, and what is printed of it."""
-    ordered = sorted(1.0 / value if unit == "frames/s" else 1e3 * value for value in seconds)
-    middle = ordered[len(ordered) // 2]
-    bad = ordered[int(0.05 * len(ordered))] if unit == "frames/s" else ordered[int(0.95 * len(ordered))]
-    return middle, f"{middle:.3g} ({bad:.3g})"
+def told_of(seconds, unit):
+    """Median, and in brackets what 5 % are worse than."""
+    values = [1.0 / value if unit == "frames/s" else 1e3 * value for value in np.quantile(seconds, (0.5, 0.95))]
+    return "{:.3g} ({:.3g})".format(*values)
 
 
 # --- In a process of its own: the tree that is measured comes first in the path ---------------------------------------
@@ -104,7 +92,6 @@ def timed(args):
     """Measure one case, and print its seconds."""
     sys.modules["numba"] = None  # as if it were not installed
     sys.path.insert(0, args.tree)
-    import bpy
 
     import blender_lidar
 
@@ -126,32 +113,23 @@ def clocked(call):
     return time.perf_counter() - started
 
 
-def own(thing):
-    """The add-on's properties of an object, or its operators: of both names that they have had."""
-    return getattr(thing, "blender_lidar", None) or thing.lidar
-
-
 def load(site):
     """Load a scene file; returns its LiDAR."""
-    import bpy
+    from blender_lidar.world.blender.objects import lidars
 
     group = bpy.context.scene.blender_lidar
     group.traffic.path = str(site)
     named = "blender_lidar" if hasattr(bpy.types.Object, "blender_lidar") else "lidar"
     assert getattr(bpy.ops, named).load() == {"FINISHED"}
     group.model.caster = "bvh"
-    from blender_lidar.world.blender.objects import lidars
-
     return lidars(bpy.context.scene)[0]
 
 
 def live(lidar, sensor="RS-16"):
     """Have a LiDAR live, at the paper's mounting; returns what takes it to an x [m] and updates."""
-    import bpy
-
     from blender_lidar.addon import live as module
 
-    group = own(lidar)
+    group = getattr(lidar, "blender_lidar", None) or lidar.lidar  # as it was called before
     group.name_ = sensor
     height, tilt = _MOUNTINGS[sensor]
     lidar.location, lidar.rotation_euler = (0.0, 0.0, height), (-math.radians(tilt), 0.0, 0.0)
@@ -186,64 +164,59 @@ def dragged(sensor, furnish=lambda: None, *, other=False):
     return steps
 
 
-def ground(half_m=60.0, side=_SIDE):
-    """Rough ground about the road, a little below it."""
-    import bpy
-    import numpy as np
+def placed(name, mesh):
+    """An object in the scene."""
+    made = bpy.data.objects.new(name, mesh)
+    bpy.context.scene.collection.objects.link(made)
+    return made
 
+
+def grid(name, half_m, side):
+    """A rough square mesh about the origin."""
     from blender_lidar.world.blender.objects import new_mesh
 
     x, y = np.meshgrid(np.linspace(-half_m, half_m, side), np.linspace(-half_m, half_m, side), indexing="ij")
     corner = np.arange(side * side).reshape(side, side)
     faces = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(-1, 4)
-    vertices = np.stack([x, y, 0.1 * np.sin(x + 2.0 * y) - 0.05], axis=-1).reshape(-1, 3)
-    made = bpy.data.objects.new("Ground", new_mesh("Ground", vertices, faces))
-    bpy.context.scene.collection.objects.link(made)
-    return made
+    return new_mesh(name, np.stack([x, y, 0.1 * np.sin(x + 2.0 * y) - 0.05], axis=-1).reshape(-1, 3), faces)
+
+
+def ground(half_m=60.0, side=_SIDE):
+    """Rough ground about the road, a little below it."""
+    return placed("Ground", grid("Ground", half_m, side))
 
 
 def forest(count):
-    """Trees of 340 faces, scattered by geometry nodes along both sides of the road, always as densely."""
-    import bmesh
-    import bpy
-    import numpy as np
-    from mathutils import Matrix
+    """Instances of a tree of 332 faces along both sides of the road, always as densely."""
 
-    shape, mesh = bmesh.new(), bpy.data.meshes.new("Tree")
+    shape, mesh, points = bmesh.new(), bpy.data.meshes.new("Tree"), bpy.data.meshes.new("Places")
     bmesh.ops.create_icosphere(shape, subdivisions=3, radius=1.3, matrix=Matrix.Translation((0.0, 0.0, 3.2)))
     trunk = Matrix.Translation((0.0, 0.0, 1.0))
-    bmesh.ops.create_cone(shape, segments=10, radius1=0.2, radius2=0.15, depth=2.0, matrix=trunk)
+    bmesh.ops.create_cone(shape, cap_ends=True, segments=10, radius1=0.2, radius2=0.15, depth=2.0, matrix=trunk)
     shape.to_mesh(mesh)
     half = 0.5 * _FOREST_M * math.sqrt(count / _TREES)
     places = np.random.default_rng(1).uniform(-half, half, (count, 3))
     places[:, 1] += np.where(places[:, 1] > 0.0, _ROADSIDE_M[1], _ROADSIDE_M[0])
     places[:, 2] = 0.0
-    points = bpy.data.meshes.new("Places")
     points.vertices.add(count)
     points.vertices.foreach_set("co", places.astype(np.float32).ravel())
-    scatter = bpy.data.objects.new("Forest", points)
-    bpy.context.scene.collection.objects.link(scatter)
-    tree = bpy.data.node_groups.new("Forest", "GeometryNodeTree")
-    for way in ("INPUT", "OUTPUT"):
-        if bpy.app.version < (4, 0):
-            getattr(tree, f"{way.lower()}s").new("NodeSocketGeometry", "Geometry")
-        else:
-            tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
-    kinds = "NodeGroupInput", "GeometryNodeObjectInfo", "GeometryNodeInstanceOnPoints", "NodeGroupOutput"
-    into, info, on_points, out = map(tree.nodes.new, kinds)
-    info.inputs["Object"].default_value = bpy.data.objects.new("Tree", mesh)
-    info.inputs["As Instance"].default_value = True
-    tree.links.new(into.outputs[0], on_points.inputs["Points"])
-    tree.links.new(info.outputs["Geometry"], on_points.inputs["Instance"])
-    tree.links.new(on_points.outputs[0], out.inputs[0])
-    scatter.modifiers.new("Forest", "NODES").node_group = tree
+    scatter = placed("Forest", points)
+    scatter.instance_type, placed("Tree", mesh).parent = "VERTS", scatter
+
+
+def own_cars(site):
+    """A case: as the example's, with a car of 20,000 triangles of the user's own."""
+
+    blend, scene = site.with_name("cars.blend"), site.with_name("cars.toml")
+    bpy.data.libraries.write(str(blend), {bpy.data.objects.new("Sedan", grid("Sedan", 2.0, 101))})
+    scene.write_text(site.read_text() + '\n[world.vehicles]\ncar = "cars.blend/Sedan"\n')
+    return dragged("RS-16")(scene)
 
 
 def taxed(asked):
     """A case: what a large scene without a LiDAR pays, for each update or each redraw."""
 
     def steps(_):
-        import bpy
 
         from blender_lidar.addon import session
 
@@ -269,8 +242,6 @@ def taxed(asked):
 
 def played(site):
     """A case: today's example is played with a live RS-16."""
-    import bpy
-
     from blender_lidar.addon import live as module
 
     scene = bpy.context.scene
@@ -291,6 +262,7 @@ CASES = {
     "100,000 trees, an object moved": (dragged("RS-16", lambda: forest(100_000), other=True), "ms", True),
     "20,000 objects: handlers of an update": (taxed(asked=False), "ms", True),
     "20,000 objects: active_lidar": (taxed(asked=True), "ms", True),
+    "example, RS-16, own cars": (own_cars, "ms", False),
     "example played, RS-16": (played, "frames/s", False),
 }
 
