@@ -30,6 +30,7 @@ _DRAG_M, _STEPS = 30.0, 61
 _SIDE = 317  # squares along the edge of a ground of 200,000 triangles
 _FOREST_M, _TREES = 200.0, 5_000  # so many trees on a square of this edge
 _ROADSIDE_M = -2.0, 28.0  # y that is free of trees
+_AWAY_M = 1_000.0  # where the tree itself stands
 _HAY = 20_000  # objects of a scene without a LiDAR
 
 
@@ -190,10 +191,11 @@ def forest(count):
     half = 0.5 * _FOREST_M * math.sqrt(count / _TREES)
     places = np.random.default_rng(1).uniform(-half, half, (count, 3))
     places[:, 1] += np.where(places[:, 1] > 0.0, _ROADSIDE_M[1], _ROADSIDE_M[0])
-    places[:, 2] = 0.0
+    places[:, 1], places[:, 2] = places[:, 1] + _AWAY_M, 0.0
     points.vertices.add(count)
     points.vertices.foreach_set("co", places.astype(np.float32).ravel())
     scatter = placed("Forest", points)
+    scatter.location.y = -_AWAY_M
     scatter.instance_type, placed("Tree", mesh).parent = "VERTS", scatter
 
 

@@ -149,7 +149,8 @@ class VisibleObjects:
             low, high = (np.take(wall - starts, which, axis=1) / along for wall in box)
         enter, leave = np.fmin(low, high).max(axis=0), np.fmax(low, high).min(axis=0)
         left = np.flatnonzero((leave >= np.maximum(enter, 0.0)) & (enter < nearest[ray]))
-        left = left[np.lexsort((enter[left], ray[left]))]
+        far = np.maximum(enter[left], 0.0)
+        left = left[np.argsort(ray[left] + far / (1.0 + far))]  # by ray, from near to far
         later = np.diff(ray[left], prepend=-1) == 0  # most rays that meet anything meet the first that they enter
         of = self._mesh[some[which[left]]] + len(self._used) * later
         for mesh in np.unique(of):
