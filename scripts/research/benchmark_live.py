@@ -3,13 +3,12 @@
 An update is all that happens after a LiDAR has moved: Blender evaluates, the add-on takes note, and `live.update()`
 casts, scores and colours; redraws are left out. Each case runs in processes of its own, with either commit in turn.
 
-    python scripts/research/benchmark_live.py --only trees --against HEAD
+    python scripts/research/benchmark_live.py --only trees --against HEAD~1
     blender --background --factory-startup --python scripts/research/benchmark_live.py -- --only example
 """
 
 import argparse
 import json
-import math
 import os
 import shutil
 import subprocess
@@ -23,36 +22,28 @@ import numpy as np
 from mathutils import Matrix
 
 HERE = Path(__file__).resolve().parents[2]
-_RESULT = "benchmark_live: "
-_TODAY = "today alone: "
+_RESULT, _TODAY = "benchmark_live: ", "today alone: "
 _MOUNTINGS = {"RS-16": (4.1, 19.0), "RS-80": (4.4, 9.0)}  # the paper's Table II: height [m] and tilt [deg]
 _DRAG_M, _STEPS = 30.0, 61
-_SIDE = 317  # squares along the edge of a ground of 200,000 triangles
-_FOREST_M, _TREES = 200.0, 5_000  # so many trees on a square of this edge
-_ROADSIDE_M = -2.0, 28.0  # y that is free of trees
-_AWAY_M = 1_000.0  # where the tree itself stands
-_HAY = 20_000  # objects of a scene without a LiDAR
 
 
-def main() -> int:
-    """Carry it out; returns the exit code."""
+def main() -> None:
+    """Carry it out."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--against", default="030385c", help="the other commit")
     parser.add_argument("--only", default="", help="cases with this in their names")
     parser.add_argument("--rounds", type=int, default=2, help="processes for each case and commit")
-    parser.add_argument("--seconds", type=float, default=5.0, help="how long each of them times, at least two updates")
+    parser.add_argument("--seconds", type=float, default=3.0, help="how long each of them times, at least two updates")
     for name in ("case", "tree", "site"):  # of a process of its own
         parser.add_argument(f"--{name}", help=argparse.SUPPRESS)
-    given = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
-    args = parser.parse_args(given)
+    args = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else None)
     if args.case:
         return timed(args)
     with tempfile.TemporaryDirectory() as folder:
         then = Path(folder, "then")
-        command = ["git", "archive", "-o", f"{then}.tar", args.against]
-        subprocess.run(command, cwd=HERE, check=True)
+        subprocess.run(["git", "archive", "-o", f"{then}.tar", args.against], cwd=HERE, check=True)
         shutil.unpack_archive(f"{then}.tar", then)
-        site = shutil.copytree(then / "scenes", Path(folder, "scenes")) / "i80.toml"  # the same for both
+        site = then / "scenes" / "i80.toml"  # the same for both
         print(f"| ms: median (p95) | {args.against} | now | ratio |\n|---|---|---|---|")
         for name in [name for name in CASES if args.only in name]:
             found = {tree: [] for tree in ((HERE,) if name.startswith(_TODAY) else (then, HERE))}
@@ -62,20 +53,17 @@ def main() -> int:
             shown = " | ".join("{:.3g} ({:.3g})".format(*told[tree]) if tree in told else "" for tree in (then, HERE))
             ratio = f"{told[HERE][0] / told[then][0]:.3f}" if then in told else ""
             print(f"| {name} | {shown} | {ratio} |", flush=True)
-    return 0
 
 
 def in_a_process(args, name, tree, site):
     """What one process measures."""
-    command = [sys.executable, __file__]
-    if bpy.app.binary_path:
-        command = [bpy.app.binary_path, "--background", "--factory-startup", "--python", __file__, "--"]
+    blender = [bpy.app.binary_path, "--background", "--factory-startup", "--python", __file__, "--"]
+    command = blender if bpy.app.binary_path else [sys.executable, __file__]
     command += ["--case", name, "--tree", str(tree), "--site", str(site), "--seconds", str(args.seconds)]
     done = subprocess.run(command, cwd=tree, capture_output=True, text=True, check=False)
-    lines = [line for line in done.stdout.splitlines() if line.startswith(_RESULT)]
-    if not lines:
+    if _RESULT not in done.stdout:
         raise SystemExit(f"{name}, {tree}:\n{done.stdout[-2000:]}\n{done.stderr[-4000:]}")
-    return json.loads(lines[-1].removeprefix(_RESULT))
+    return json.loads(done.stdout.split(_RESULT)[1].splitlines()[0])
 
 
 # --- In a process of its own: the tree that is measured comes first in the path ---------------------------------------
@@ -90,8 +78,7 @@ def timed(args):
 
     bpy.ops.wm.read_homefile(use_empty=True)
     blender_lidar.register()
-    steps = CASES[args.case](Path(args.site))
-    next(steps)  # made ready
+    next(steps := CASES[args.case](Path(args.site)))  # made ready
     seconds, end = [], time.perf_counter() + args.seconds
     while len(seconds) < _STEPS and (time.perf_counter() < end or len(seconds) < 2):
         seconds.append(next(steps))
@@ -124,8 +111,7 @@ def live(lidar, sensor="RS-16"):
 
     group = getattr(lidar, "blender_lidar", None) or lidar.lidar  # as it was called before
     group.name_ = sensor
-    height, tilt = _MOUNTINGS[sensor]
-    lidar.location, lidar.rotation_euler = (0.0, 0.0, height), (-math.radians(tilt), 0.0, 0.0)
+    lidar.location.z, lidar.rotation_euler.x = _MOUNTINGS[sensor][0], -np.radians(_MOUNTINGS[sensor][1])
     group.live = True
 
     def move(x):
@@ -134,8 +120,7 @@ def live(lidar, sensor="RS-16"):
         module.update()
 
     move(0.0)
-    assert not bpy.context.scene.blender_lidar.problem, bpy.context.scene.blender_lidar.problem
-    assert group.points > 0
+    assert group.points > 0, bpy.context.scene.blender_lidar.problem
     return move
 
 
@@ -143,7 +128,7 @@ def dragged(sensor, furnish=lambda: None, *, other=False):
     """A case: the example's LiDAR is dragged along the road, or stays while an `other` object, the user's, moves."""
 
     def steps(site):
-        lidar, item = load(site), ground(1.0, 8) if other else None
+        lidar, item = load(site), placed("Other", grid("Other", 1.0, 8)) if other else None
         furnish()
         move = live(lidar, sensor)
         move(-0.5 * _DRAG_M)
@@ -151,8 +136,8 @@ def dragged(sensor, furnish=lambda: None, *, other=False):
         for step in range(10_000):
             x = _DRAG_M * (step % _STEPS / (_STEPS - 1) - 0.5)
             if other:
-                item.location.x = 0.1 * x
-            yield clocked(lambda x=x: move(0.0 if other else x))
+                item.location.x, x = x, 0.0
+            yield clocked(lambda x=x: move(x))
 
     return steps
 
@@ -174,9 +159,9 @@ def grid(name, half_m, side):
     return new_mesh(name, np.stack([x, y, 0.1 * np.sin(x + 2.0 * y) - 0.05], axis=-1).reshape(-1, 3), faces)
 
 
-def ground(half_m=60.0, side=_SIDE):
-    """Rough ground about the road, a little below it."""
-    return placed("Ground", grid("Ground", half_m, side))
+def ground():
+    """Rough ground of 200,000 triangles about the road, a little below it."""
+    placed("Ground", grid("Ground", 60.0, 317))
 
 
 def forest(count):
@@ -188,14 +173,13 @@ def forest(count):
     trunk = Matrix.Translation((0.0, 0.0, 1.0))
     bmesh.ops.create_cone(shape, cap_ends=True, segments=10, radius1=0.2, radius2=0.15, depth=2.0, matrix=trunk)
     shape.to_mesh(mesh)
-    half = 0.5 * _FOREST_M * math.sqrt(count / _TREES)
-    places = np.random.default_rng(1).uniform(-half, half, (count, 3))
-    places[:, 1] += np.where(places[:, 1] > 0.0, _ROADSIDE_M[1], _ROADSIDE_M[0])
-    places[:, 1], places[:, 2] = places[:, 1] + _AWAY_M, 0.0
+    half = 100.0 * np.sqrt(count / 5_000)
+    x, y = np.random.default_rng(1).uniform(-half, half, (2, count))
+    y += 1_000.0 + np.where(y > 0.0, 28.0, -2.0)  # none on the road
     points.vertices.add(count)
-    points.vertices.foreach_set("co", places.astype(np.float32).ravel())
+    points.vertices.foreach_set("co", np.stack([x, y, 0.0 * x], axis=1).astype(np.float32).ravel())
     scatter = placed("Forest", points)
-    scatter.location.y = -_AWAY_M
+    scatter.location.y = -1_000.0  # where the tree itself stands
     scatter.instance_type, placed("Tree", mesh).parent = "VERTS", scatter
 
 
@@ -214,7 +198,7 @@ def taxed(asked):
         from blender_lidar.addon import session
 
         scene, layer, paid = bpy.context.scene, bpy.context.view_layer, []
-        for number in range(_HAY):
+        for number in range(20_000):
             scene.collection.objects.link(bpy.data.objects.new(f"Straw {number}", None))
         layer.update()
         of_updates = bpy.app.handlers.depsgraph_update_post
@@ -233,12 +217,15 @@ def taxed(asked):
     return steps
 
 
-def played(site):
+def played(_):
     """A case: today's example is played with a live RS-16."""
     from blender_lidar.addon import live as module
+    from blender_lidar.world.blender.objects import lidars
 
     scene = bpy.context.scene
-    live(load(HERE / "scenes" / site.name))
+    bpy.ops.blender_lidar.load_example()
+    scene.blender_lidar.model.caster = "bvh"
+    live(lidars(scene)[0])
     yield
     for frame in range(scene.frame_start + 1, scene.frame_end):
         yield clocked(lambda frame=frame: (scene.frame_set(frame), module.update()))
@@ -260,4 +247,4 @@ CASES = {
 }
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
