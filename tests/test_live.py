@@ -10,9 +10,11 @@ import pytest
 from blender_lidar.casting import is_available
 from blender_lidar.casting.protocol import StandingScenery
 from blender_lidar.clouds.live import LiveFrame
+from blender_lidar.clouds.snapshot import entropy_of_vehicles
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scene.settings import ObjectiveSettings
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.scoring.scores import VehicleScores
 from blender_lidar.sensors.beams import beam_lattice
@@ -105,3 +107,16 @@ def test_a_lidar_dragged_below_the_ground_is_refused_and_can_be_dragged_back():
     with pytest.raises(InputError, match=r"hangs -0\.5 m above the ground; allowed: more than 0 m"):
         live.look(Pose(height_m=-0.5))
     assert len(live.look(DRAG[0]).cloud) > 0
+
+
+@pytest.mark.parametrize("effects", [PERFECT, ROUGH], ids=["perfect", "rough"])
+def test_entropies_of_a_look_are_those_of_its_cloud(effects):
+    live, objective = (
+        LiveFrame(FRAME, observation("exact", effects, scenery=True), SCORING),
+        ObjectiveSettings(class_weights={}),
+    )
+    for pose in DRAG:
+        look = live.look(pose)
+        bits = entropy_of_vehicles(look.cloud, TRAFFIC, objective, look)
+        np.testing.assert_allclose(bits, entropy_of_vehicles(look.cloud, TRAFFIC, objective), atol=1e-12)
+        assert not FRAME.counted.all()

@@ -93,7 +93,9 @@ def update(graph: bpy.types.Depsgraph | None = None) -> None:
         live |= {session.uid_of(lidar): lidar for lidar in mine}
         if not mine:
             continue
-        objects = _state.objects.setdefault(session.uid_of(scene), VisibleObjects())
+        objects = _state.objects.get(session.uid_of(scene))
+        if objects is None:
+            objects = _state.objects[session.uid_of(scene)] = VisibleObjects()
         if graph is None:
             layer.update()  # instances of objects that have gone since would crash Blender
         try:
@@ -159,7 +161,7 @@ def _update_one(scene, lidar, shown, objects) -> bool:
     if shown.baseline is None:
         shown.baseline = frame.look(shown.scenario.baseline.pose, [objects]) if frame.scoring else None
     shown.look = look = frame.look(mounting.pose, [objects])
-    shown.bits = entropy_of_vehicles(look.cloud, vehicles, shown.scenario.objective)
+    shown.bits = entropy_of_vehicles(look.cloud, vehicles, shown.scenario.objective, look)
     shown.colours = colours_by(group.colour_by, vertices_of(look.cloud, vehicles, shown.bits))
     shown.batch = None
     session.store(lidar, vehicles, look, shown.baseline or look)

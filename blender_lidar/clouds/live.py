@@ -29,12 +29,15 @@ class Look(NamedTuple):
         Of this one mounting, as from `VehicleScores`; None where nothing is scored.
     pose, hits : Pose, Revolution
         Where it looked from, and what its beams met of the vehicles, behind nothing that stands still.
+    counted : ndarray of bool, (v,)
+        Which vehicles are scored.
     """
 
     cloud: PointCloud
     scored: Scored | None
     pose: Pose
     hits: Revolution
+    counted: np.ndarray
 
 
 class LiveFrame:
@@ -88,7 +91,7 @@ class LiveFrame:
             nearest[beam] = np.minimum(nearest[beam], distance)
         shown = hits.distance <= nearest[hits.beam]
         hits = hits if shown.all() else Revolution(*(column[..., shown] for column in hits))
-        look = Look(self._scan.cloud(pose, turn), None, pose, hits)
+        look = Look(self._scan.cloud(pose, turn), None, pose, hits, self.frame.counted)
         return look if self._scores is None else look._replace(scored=self._scores.of([look]))
 
 

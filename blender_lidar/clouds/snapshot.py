@@ -12,7 +12,7 @@ import numpy as np
 from ..casting import resolve
 from ..casting.instances import OwnBodies
 from ..casting.protocol import StandingScenery
-from ..metrics.vgop import pe_vgop, to_vehicle_frame
+from ..metrics.vgop import entropy, pe_vgop, to_vehicle_frame
 from ..scene.mounting import Layout, Mounting
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario
@@ -28,6 +28,7 @@ from .scan import PointCloud, joined_clouds, scan
 
 if TYPE_CHECKING:
     from ..world.blender.scene import Moment
+    from .live import Look
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,11 +162,23 @@ def vertices_of(cloud: PointCloud, vehicles: Vehicles, entropy_bits: np.ndarray,
     }
 
 
-def entropy_of_vehicles(cloud: PointCloud, vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray:
-    """PE-VGOP (Eq. 9) of every vehicle of a frame in a cloud of it, (v,) [bits]."""
+def entropy_of_vehicles(
+    cloud: PointCloud, vehicles: Vehicles, objective: ObjectiveSettings, look: Look | None = None
+) -> np.ndarray:
+    """PE-VGOP (Eq. 9) of every vehicle of a frame in a cloud of it, (v,) [bits].
+
+    Occupancies of vehicles that a live `look` has scored are taken from there.
+    """
     mine, row = _on_vehicles(cloud, vehicles)
+    scored = None if look is None else look.scored
+    if scored is not None:
+        left = ~look.counted[row]
+        mine, row = mine[left], row[left]
     points = to_vehicle_frame(cloud.xyz[mine], vehicles.centre_m, vehicles.heading_rad, row)
-    return pe_vgop(points, row, vehicles.size_m, objective.cell_m, reading=objective.reading)
+    bits = pe_vgop(points, row, vehicles.size_m, objective.cell_m, reading=objective.reading)
+    if scored is not None:
+        bits[look.counted] = entropy(scored.seen.occupancy[0]).sum(axis=1)
+    return bits
 
 
 def _on_vehicles(cloud, vehicles):

@@ -153,7 +153,7 @@ def _driven_over(frames: Sequence[Vehicles], reach: _Reach) -> str:
 def _places(road: RoadMap, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Places all over the rectangle from `low` to `high`, (2,) each, not farther apart than half a lane, (n, 2) [m]."""
     lane_m = road.width_m.min() if len(road) else 1.0
-    steps = np.ceil((high - low) / (0.5 * lane_m)).clip(1, _MOST_STEPS).astype(int) + 1
+    steps = np.ceil((high - low) / (0.5 * lane_m)).clip(0, _MOST_STEPS).astype(int) + 1
     x, y = (np.linspace(a, b, n) for a, b, n in zip(low, high, steps, strict=True))
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
