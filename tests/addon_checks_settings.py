@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 
 import blender_lidar
-from blender_lidar.addon import handlers, live, operators, optimising, properties, session, words
+from blender_lidar.addon import handlers, live, operators, optimising, panels, properties, session, words
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.deployment import MOUNTING_OR_LEAN
 from blender_lidar.scene.scenario import load_scenario
@@ -256,6 +256,32 @@ def check_wrong_input_is_one_line_and_changes_nothing():
     assert not list(FOLDER.glob("refused*"))
     bpy.data.batch_remove([*lidar.children, lidar])
     assert not bpy.ops.blender_lidar.scan.poll()
+
+
+def check_a_score_is_stale_once_any_setting_that_it_was_made_with_is_another():
+    scene, lidar = loaded()
+    group, shared = lidar.blender_lidar, scene.blender_lidar
+    assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    assert not panels.is_stale(scene, lidar)
+    shared.search.particles, shared.traffic.frames, group.colour_by = 7, 3, "ring"  # no score depends on these
+    assert not panels.is_stale(scene, lidar)
+    for of, key, value in (
+        (shared, "metric", "detectable"),
+        (group, "name_", "RS-80"),
+        (group, "dropout", 0.5),
+        (group, "baseline", '{"height_m": 3.0}'),
+        (shared.objective, "threshold", 0.9),
+        (shared.world, "ground", False),
+        (shared.region, "radius_m", 11.0),
+    ):
+        before = getattr(of, key)
+        setattr(of, key, value)
+        assert panels.is_stale(scene, lidar), key
+        setattr(of, key, before)
+        assert not panels.is_stale(scene, lidar), key
+    bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "scanned.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "scanned.blend"))
+    assert not panels.is_stale(bpy.context.scene, lidars(bpy.context.scene)[0])
 
 
 # --- Registering ------------------------------------------------------------------------------------------------------

@@ -212,7 +212,7 @@ class BLENDER_LIDAR_PT_scan(OfLidar, bpy.types.Panel):
         field(layout, group, "style")
         field(layout, group, "colour_by")
         field(layout, scene.blender_lidar, "label_by")
-        say(layout, f"Own objects: {'preview' if group.live else 'exact'}", icon="MESH_CUBE")
+        say(layout, f"Own objects: {'preview' if group.live else 'exact, as they were when scanned'}", icon="MESH_CUBE")
         if group.scanned_frame < 0:
             built = any(role(child) == CLOUD for child in lidar.children)
             say(layout, "The cloud is the file's; Scan scores it." if built else "Not scanned yet.")
@@ -223,14 +223,15 @@ class BLENDER_LIDAR_PT_scan(OfLidar, bpy.types.Panel):
 
 
 def is_stale(scene: bpy.types.Scene, lidar: bpy.types.Object) -> bool:
-    """Whether the LiDAR or the time is another than when it was scanned."""
+    """Whether the LiDAR, the time or the settings are other than when it was scanned; own objects are not looked at."""
     group = lidar.blender_lidar
     try:
         pose = pose_of(lidar).as_table().values()
     except BlenderLidarError:
         return True
     moved = any(abs(a - b) > 1e-3 for a, b in zip(pose, group.scanned_at, strict=True))
-    return moved or abs(group.scanned_s - session.since_of(scene)) > SAME_S
+    moved |= abs(group.scanned_s - session.since_of(scene)) > SAME_S
+    return moved or group.scanned_with != session.settings_digest(lidar)
 
 
 def fused_lines(scene: bpy.types.Scene, lidar: bpy.types.Object) -> list[str]:

@@ -556,6 +556,7 @@ class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
     scanned_frame: IntProperty(default=-1, options={"HIDDEN"})
     scanned_s: FloatProperty(options={"HIDDEN"}, description="Time since the recording's beginning that was scanned")
     scanned_at: FloatVectorProperty(size=6, options={"HIDDEN"})
+    scanned_with: StringProperty(options={"HIDDEN"}, description="Digest of the settings that were scanned with")
     points: IntProperty(options={"HIDDEN"})
     vehicles: IntProperty(options={"HIDDEN"})
     objective: FloatProperty(options={"HIDDEN"})

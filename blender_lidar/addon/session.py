@@ -6,6 +6,7 @@ undo leaves as it is, or by their names where Blender has none.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
@@ -45,6 +46,7 @@ from . import properties
 CLIP = "i80_sample.csv.gz", "i80_drive.csv.gz"  # what is searched, and 20 s of the same that are played
 _SAME_FRAME = 1e-3  # of the timeline
 _DIGITS_S = 6
+_OF_SEARCH = ("frames", "holdout", "block_s")  # fields of [traffic] that one scan does not depend on
 _SAME_M, _SAME_ROTATION = 2e-4, 1e-5  # nearer, a LiDAR hangs as it was hung
 _RECORDINGS: dict[str, tuple[str, list[Recording], Recording]] = {}  # by scene: what they were read with, and as one
 _OBJECTS: dict[str, tuple[tuple[str, str], StandingScenery]] = {}  # by scene: the user's own
@@ -661,6 +663,21 @@ def exact_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, scenario: 
     return [_OBJECTS[key][1]] if len(scenery) else []
 
 
+def settings_digest(lidar: bpy.types.Object) -> str:
+    """A digest of what a LiDAR's cloud and score are made with, but for its pose, the time and the user's own objects.
+
+    That is its sensor, its baseline and the scene's settings, and whether traffic and ground are shown.
+    """
+    scene = properties.scene_of(lidar)
+    group, fields = scene.blender_lidar, {name: of for name, of in fields_of(scene).items() if name != "search"}
+    fields["traffic"] = {key: value for key, value in fields["traffic"].items() if key not in _OF_SEARCH}
+    fields["traffic"]["path"] = group.traffic.path  # stays what it is where the file is moved with its traffic
+    own = group.kept, [getattr(group.vehicles, kind) for kind in FLEET_KINDS]
+    shown = is_traffic_shown(scene), hidden_ground(scene, view_layer_of(scene))
+    made_with = sensor_table(lidar), lidar.blender_lidar.baseline, fields, own, shown
+    return hashlib.sha256(repr(made_with).encode()).hexdigest()
+
+
 def store(lidar: bpy.types.Object, vehicles: Vehicles, look: Look, baseline: Look) -> None:
     """Keep with a LiDAR, unless it is linked, what the panel says of a scan: its size and score, and the baseline's."""
     group = lidar.blender_lidar
@@ -668,7 +685,7 @@ def store(lidar: bpy.types.Object, vehicles: Vehicles, look: Look, baseline: Loo
         return
     group.points, group.scanned_frame = len(look.cloud), vehicles.frame
     group.scanned_s = since_of(properties.scene_of(lidar))
-    group.scanned_at = list(look.pose.as_table().values())
+    group.scanned_at, group.scanned_with = list(look.pose.as_table().values()), settings_digest(lidar)
     group.vehicles = 0 if look.scored is None else look.scored.values.shape[1]
     for scored, objective, share in (
         (look.scored, "objective", "detectable_share"),
