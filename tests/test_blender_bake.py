@@ -164,6 +164,30 @@ def test_a_bake_that_is_cancelled_or_refused_leaves_whole_files_and_the_frame(sc
     assert set(baking.files_of(lidar)) == {1, 2}
 
 
+def test_a_bake_that_undo_has_overtaken_is_cancelled_and_restores_the_frame(scene):
+    scene.frame_set(2)
+    for message in ("before", "after"):
+        bpy.ops.ed.undo_push(message=message)
+    steps = baking.steps(scene)
+    assert [next(steps) for _ in range(6)][-1] == "frame 3"
+    bpy.ops.ed.undo()
+    steps.close()
+    assert bpy.context.scene.frame_current == 2
+
+
+def test_own_bodies_are_read_once_a_frame(scene, monkeypatch):
+    box, mesh = (
+        bpy.data.collections.new("Box"),
+        new_mesh("Box", np.add(WALL, [[0], [1], [2], [0]]), np.array([[0, 1, 2, 3]])),
+    )
+    box.objects.link(bpy.data.objects.new("Box", mesh))
+    scene.blender_lidar.vehicles.car = box
+    read, body_of = [], session.body_of
+    monkeypatch.setattr(session, "body_of", lambda *of: read.append(of) or body_of(*of))
+    bake(scene)
+    assert len(read) == 4  # once a frame for both LiDARs
+
+
 def test_what_cannot_be_baked_is_one_line(scene):
     scene.blender_lidar.bake_own, scene.blender_lidar.bake_frames = True, (9, 3)
     with pytest.raises(RuntimeError, match=r"Error: Bake: LiDARs LiDAR, LiDAR.001, frames 9 to 3; allowed"):
@@ -187,25 +211,25 @@ def test_a_moved_lidar_or_another_sensor_is_told_until_it_is_baked_again(scene):
     assert baking.is_changed(lidar)
 
 
-def test_a_renamed_lidar_shows_its_bake_and_duplicates_and_other_files_are_baked_apart(scene, tmp_path):
+def test_duplicates_renamed_lidars_and_other_files_have_bakes_of_their_own(scene, tmp_path):
     before, lidar = bake(scene), lidars(scene)[0]
-    scene.frame_set(2)
-    expected, lidar.name = shown(lidar), "Süd/Mast"
-    scene.frame_set(3)
-    scene.frame_set(2)
-    np.testing.assert_array_equal(shown(lidar)["co"], expected["co"])
     operators.select(bpy.context, lidar)
     assert bpy.ops.object.duplicate() == {"FINISHED"}
-    bpy.context.object.name = "LiDAR"  # by which the first one was called
-    bpy.context.object.location.z += 1.0
+    twin = bpy.context.object
+    assert not baking.files_of(twin)
+    twin.name = "Süd/Mast"
+    twin.location.z += 1.0
     after = bake(scene)
     assert len(after) == 12
     assert {path.parent.name for path in after} == {"LiDAR", "LiDAR_001", "S_d_Mast"}
-    assert len(set(before.items()) & set(after.items())) == 4  # of the one that is as it was
+    assert set(before.items()) < set(after.items())
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"))
+    scene.frame_set(2)
+    assert bpy.ops.blender_lidar.free_bake() == {"FINISHED"}
+    assert all(path.exists() for path in after)  # the other file's
     assert {path.parents[1].name for path in bake(scene)} == {"other_bake"}
     assert {path: path.stat().st_mtime_ns for path in after} == after
-    bpy.context.object.name = "s_d_mast"
+    lidar.name = "s_d_mast"
     with pytest.raises(RuntimeError, match="names that make folders"):
         bpy.ops.blender_lidar.bake()
 

@@ -20,7 +20,7 @@ from mathutils import Matrix
 
 from ..clouds.files import record_of, write_cloud
 from ..clouds.snapshot import MountedSensor, entropy_of_vehicles, vertices_of
-from ..errors import BlenderLidarError, InputError
+from ..errors import BlenderLidarError, InputError, one_line
 from ..files import make_folder, source_digest
 from ..scene.site import lattice_of
 from ..sensors.pose import Pose
@@ -39,12 +39,9 @@ _shown: dict[str, dict] = {}  # by LiDAR: the header of the file that its cloud 
 
 
 def folder_of(lidar: bpy.types.Object) -> Path:
-    """The folder of a LiDAR's bake; by its name where only a script knows of it."""
-    return Path(bpy.path.abspath(lidar.blender_lidar.baked or _folder_named(lidar)))
-
-
-def _folder_named(lidar):
-    return f"//{Path(bpy.data.filepath).stem}_bake/{bpy.path.clean_name(lidar.name_full)}"
+    """The folder of a LiDAR's bake: by its name, beside the file that is open."""
+    beside = f"//{Path(bpy.data.filepath).stem}_bake"
+    return Path(bpy.path.abspath(f"{beside}/{bpy.path.clean_name(lidar.name_full)}"))
 
 
 def files_of(lidar: bpy.types.Object) -> dict[int, Path]:
@@ -68,37 +65,46 @@ def steps(scene: bpy.types.Scene) -> Iterator[str]:
     group, before, uid = scene.blender_lidar, scene.frame_current_final, session.uid_of(scene)
     hung = [one for one in session.lidars_of(scene) if not one.hide_render]
     first, last = group.bake_frames if group.bake_own else (scene.frame_start, scene.frame_end)
-    frames, folders = range(first, last + 1, group.bake_step), {_folder_named(one).casefold() for one in hung}
+    frames, folders = range(first, last + 1, group.bake_step), {str(folder_of(one)).casefold() for one in hung}
     if _work or not bpy.data.filepath:
         raise InputError("a bake is at work" if _work else "the bake lies beside the .blend file; save it first")
     if len(folders) < max(len(hung), 1) or not frames:
         names = ", ".join(one.name for one in hung)
         raise InputError(f"Bake: LiDARs {names}, frames {first} to {last}; allowed: some, of names that make folders")
-    for one in (one for one in hung if one.library is None):
-        one.blender_lidar.baked = _folder_named(one)
+    if scene.library is None:
+        scene.render.use_lock_interface = True  # a window that draws while a render changes meshes may crash
     keys, at = [(frame, session.uid_of(one)) for frame in frames for one in hung], None
     _work.update(done=0, total=len(keys))
     try:
         yield f"{len(keys)} clouds"
         for frame, key in keys:
-            scene = next((one for one in bpy.data.scenes if session.uid_of(one) == uid), None)
+            scene = _known(uid)
             found = [one for one in session.lidars_of(scene) if session.uid_of(one) == key] if scene is not None else []
-            if found and (frame != at or frame != scene.frame_current_final):  # a window may play meanwhile
+            again = bool(found) and (frame != at or frame != scene.frame_current_final)  # a window may play meanwhile
+            if again:
                 scene.frame_set(at := frame)
             try:
-                made = [_bake(scene, one) for one in found]  # none where it was deleted meanwhile
+                made = [_bake(scene, one, again) for one in found]  # none where it was deleted meanwhile
             except BlenderLidarError as error:
-                raise InputError(f"{found[0].name}, frame {frame}: {' '.join(str(error).split())}") from error
+                raise InputError(f"{found[0].name}, frame {frame}: {one_line(str(error))}") from error
             _work["done"] += 1
             yield f"frame {frame}" if any(made) else f"frame {frame} as it was"
     finally:
         _work.clear()
-        if scene is not None:
+        if scene := _known(uid):  # undo may have made it anew
             scene.frame_set(int(before // 1), subframe=before % 1)
 
 
-def _bake(scene, lidar) -> bool:
-    """Scan the frame that a scene is at, as Scan does, into its file; False where that was made of the same already."""
+def _known(uid: str) -> bpy.types.Scene | None:
+    """The scene of a `session_uid`; None where it was deleted."""
+    return next((one for one in bpy.data.scenes if session.uid_of(one) == uid), None)
+
+
+def _bake(scene, lidar, again) -> bool:
+    """Scan the frame that a scene is at, as Scan does, into its file; False where that was made of the same already.
+
+    Own bodies are read `again` for the first LiDAR of a frame.
+    """
     scenario, mounting, vehicles = operators.checked_mount(scene, lidar)
     objects, tables = session.exact_objects(scene, session.view_layer_of(scene), scenario), scenario.as_tables()
     layout = session.layout_of(scene, lidar) if scenario.world.clutter else [lidar]  # which is kept clear of all
@@ -106,14 +112,14 @@ def _bake(scene, lidar) -> bool:
     of += map(session.stamp, scenario.files.values())
     for one in (objects[0].scenery,) if objects else ():
         of += [one.digest, one.labels, hashlib.sha256(np.ascontiguousarray(one.label)).digest()]
-    if bodies := session.own_bodies(scene, again=True):
+    if bodies := session.own_bodies(scene, again=again):
         of += [bodies.digests]
     of += [np.asarray(getattr(vehicles, one.name)).tolist() for one in fields(vehicles)]
     digest = hashlib.sha256(repr(of).encode()).hexdigest()
     path = folder_of(lidar) / f"frame_{scene.frame_current:04d}{scene.blender_lidar.bake_format}"
     if _read(path)[1].get(_MADE_OF) == digest:
         return False
-    frame = session.live_frame(scene, lidar, exact=True)
+    frame = session.live_frame(scene, lidar, exact=True, bodies=bodies)
     cloud, caster = frame.look(mounting.pose, objects).cloud, frame.observation.caster
     bits = entropy_of_vehicles(cloud, vehicles, scenario.objective)
     sensor = MountedSensor(scenario, mounting, lattice_of(scenario.sensor), caster, next(iter(objects), None))
@@ -156,7 +162,6 @@ def on_frame(scene, depsgraph=None, *_) -> None:
             continue
         name = f"frame_{scene.frame_current:04d}"
         points, _shown[session.uid_of(lidar)] = _read(next(folder.glob(f"{name}.p*"), folder / name))
-        scene.render.use_lock_interface = True  # a window that draws while a render changes meshes may crash
         cloud = show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style)
         if depsgraph is not None:  # while rendering, what moves is known there alone
             there = to_road(scene, depsgraph) @ np.array(lidar.evaluated_get(depsgraph).matrix_world)
@@ -218,8 +223,8 @@ class BLENDER_LIDAR_OT_bake(operators.NeedsLidar, bpy.types.Operator):
         try:
             if "stopped" not in _work and next(self._steps, None) is not None:
                 return {"PASS_THROUGH"}
-        except BlenderLidarError as error:
-            self.report({"ERROR"}, str(error))
+        except Exception as error:  # the timer would go on
+            self.report({"ERROR"}, one_line(str(error)))
         self.cancel(context)
         bpy.ops.ed.undo_push(message="Bake LiDARs")
         return {"FINISHED"}
@@ -248,8 +253,6 @@ class BLENDER_LIDAR_OT_free_bake(bpy.types.Operator):
             for place in (folder_of(lidar), folder_of(lidar).parent):
                 with suppress(OSError):
                     place.rmdir()
-            if lidar.library is None:
-                lidar.blender_lidar.baked = ""
             _shown.pop(session.uid_of(lidar), None)
         return {"FINISHED"}
 

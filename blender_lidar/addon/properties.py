@@ -563,7 +563,6 @@ class BLENDER_LIDAR_PG_lidar(bpy.types.PropertyGroup):
     detectable_share: FloatProperty(options={"HIDDEN"})
     baseline_objective: FloatProperty(options={"HIDDEN"})
     baseline_share: FloatProperty(options={"HIDDEN"})
-    baked: StringProperty(options={"HIDDEN"}, description="Folder of its bake, from the .blend file on")
     found: StringProperty(options={"HIDDEN"}, description="What an optimization has found, as JSON")
 
 

@@ -488,7 +488,7 @@ def vehicles_of(scene: bpy.types.Scene) -> Vehicles:
     if not scene.blender_lidar.loaded:
         return no_vehicles(shown_frame(scene), seconds_of(scene))
     found = recording_of(scene).moment(since_of(scene))
-    return found if is_traffic_shown(scene) else no_vehicles(found.frame, found.time_s)
+    return found if is_traffic_shown(scene) else found.select([])
 
 
 def is_traffic_shown(scene: bpy.types.Scene) -> bool:
@@ -573,10 +573,13 @@ def time_text(scene: bpy.types.Scene) -> str:
 # --- Frames kept ready ------------------------------------------------------------------------------------------------
 
 
-def live_frame(scene: bpy.types.Scene, lidar: bpy.types.Object, *, exact: bool = False) -> LiveFrame:
+def live_frame(
+    scene: bpy.types.Scene, lidar: bpy.types.Object, *, exact: bool = False, bodies: OwnBodies | None = None
+) -> LiveFrame:
     """The frame that a scene shows, ready to be seen by one of its LiDARs; kept until something changes.
 
-    It is ready for wherever the LiDAR is dragged within 60 m; `exact` has clutter kept clear of where it hangs now.
+    It is ready for wherever the LiDAR is dragged within 60 m; `exact` has clutter kept clear of where it hangs now,
+    and own bodies read again unless they are given.
 
     Raises
     ------
@@ -584,7 +587,7 @@ def live_frame(scene: bpy.types.Scene, lidar: bpy.types.Object, *, exact: bool =
         For settings, traffic or a frame that cannot be used.
     """
     hung, vehicles, key = layout_of(scene, lidar), vehicles_of(scene), uid_of(lidar)
-    bodies = own_bodies(scene, again=exact)
+    bodies = bodies or own_bodies(scene, again=exact)
     whole, layout = layout_scenario(scene, hung), [properties.mounting_of(one) for one in hung]
     scenario, mounting = whole.alone(hung.index(lidar)), layout[hung.index(lidar)]
     tables, stamps = scenario.as_tables(), [stamp(path) for path in scenario.files.values()]
