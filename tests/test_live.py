@@ -10,6 +10,7 @@ import pytest
 from blender_lidar.casting import is_available
 from blender_lidar.casting.protocol import StandingScenery
 from blender_lidar.clouds.live import LiveFrame
+from blender_lidar.clouds.scan import scan as scanned
 from blender_lidar.clouds.snapshot import entropy_of_vehicles
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
@@ -39,6 +40,16 @@ def caster(request):
     if not is_available(request.param):
         pytest.skip(f"{request.param} is not installed")
     return request.param
+
+
+@pytest.mark.parametrize("since_ms", [0, 80])
+def test_what_is_lost_at_a_moment_is_lost_in_cloud_and_score(since_ms):
+    moment = replace(TRAFFIC, since_ms=since_ms)
+    seen = observation("exact", Imperfections(dropout=0.5))
+    clouds = [scanned(one, seen, DRAG[0]) for one in (TRAFFIC, moment)]
+    assert np.array_equal(clouds[0].xyz, clouds[1].xyz) == (since_ms == 0)
+    found = FrameScorer(moment, np.ones(len(moment), bool), seen).see(singles(DRAG[:1]))
+    assert found.points.sum() == (clouds[1].vehicle_id >= 0).sum()
 
 
 def observation(caster, effects=PERFECT, scenery=False):

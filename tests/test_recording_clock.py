@@ -65,6 +65,13 @@ def test_in_a_gap_before_the_beginning_and_after_the_end_there_is_nothing(since_
     assert found.frame == MADE.frames[abs(MADE.since_s - since_s).argmin()]
 
 
+def test_noise_is_an_instants_own_and_another_at_each_moment_between():
+    draws = [MADE.moment(since_s).draw for since_s in (-0.3, 0.0, 0.1, 0.2, 0.3, 0.5, 0.6, 0.8, 1.0, 1.7, 2.4)]
+    assert len({*draws}) == len(draws)
+    assert [draws[row] for row in (1, 5, 8)] == [0, 1, 2]
+    assert MADE.moment(0.2).select([]).draw == draws[3]
+
+
 def test_what_is_moved_is_never_the_recording():
     before = MADE.centre_m.copy(), MADE.heading_rad.copy()
     MADE.moment(0.25).centre_m[:] = 0.0

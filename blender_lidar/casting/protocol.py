@@ -262,6 +262,12 @@ class Caster(ABC):
     def make_ready(self, low: np.ndarray, high: np.ndarray) -> None:  # noqa: B027 (not all have anything to do)
         """Make ready for rays that start between two corners, (3,) [m]: while they do, nothing is made again."""
 
+    def solid(self, triangle: np.ndarray) -> np.ndarray:
+        """Row of each triangle that was met where an `InstancedTree` has fewer: here its own."""
+        return triangle
+
+    face = solid
+
     @abstractmethod
     def _meet(self, origins: np.ndarray, directions: np.ndarray, max_range: float) -> Returns:
         """As `meet`, with at least one ray, and origins and rows in terms of `_corners`."""

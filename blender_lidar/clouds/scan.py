@@ -127,7 +127,7 @@ class FrameScan:
         self._shapes, self._vehicles, self._seen, self._ground = shapes, vehicles, seen, ground
         self._pieces = cut_vehicles(vehicles, seen.detail, shapes.own) if seen.culled else None
         self._reach_m = seen.lidar.reach_m
-        self._model = seen.lidar.measurement(vehicles.frame)
+        self._model = seen.lidar.measurement(vehicles.draw)
 
     def turn(self, pose: Pose, also: Sequence[Stands] = ()) -> Turn:
         """Cast one revolution; `also` stands still beside the observation's scenery.
@@ -159,7 +159,7 @@ class FrameScan:
 
         hits = turn.vehicles
         facing = np.abs(dot(shapes.tree.normals(hits.triangle).T, hits.directions))
-        solid, face = shapes.solid(hits.triangle), shapes.face(hits.triangle)
+        solid, face = shapes.tree.solid(hits.triangle), shapes.tree.face(hits.triangle)
         meet(hits.beam, hits.distance, shapes.owner[solid], shapes.surface[face], facing, NO_LABEL)
         for beam, away, made_of, facing, labelled in turn.standing:
             first = away < distance[beam]

@@ -51,11 +51,11 @@ class FrameShapes:
     tree : Caster or InstancedTree
         Of all triangles.
     owner : ndarray of int32, (m,)
-        Row of each triangle's vehicle in the frame; for a triangle that was met it is ``owner[solid(triangle)]``.
+        Row of each triangle's vehicle in the frame; for a triangle that was met it is ``owner[tree.solid(triangle)]``.
     counted_row : ndarray of int64, (m,)
-        Row of each triangle's vehicle among the counted, -1 where it does not count; by `solid` likewise.
+        Row of each triangle's vehicle among the counted, -1 where it does not count; by `tree.solid` likewise.
     surface : ndarray of uint8, (m,)
-        What each triangle is made of, an index into `world.meshes.SURFACES`: ``surface[face(triangle)]``.
+        What each triangle is made of, an index into `world.meshes.SURFACES`: ``surface[tree.face(triangle)]``.
     """
 
     def __init__(
@@ -75,14 +75,6 @@ class FrameShapes:
         rows = np.append(np.where(counted, np.cumsum(counted) - 1, -1), -1)  # the last is that of `STATIC`
         self.counted_row = rows[self.owner].astype(np.int64)
         self._counted = counted
-
-    def solid(self, triangle: np.ndarray) -> np.ndarray:
-        """Rows in `owner` and `counted_row` of triangles that were met."""
-        return triangle if self.own is None else self.tree.solid(triangle)
-
-    def face(self, triangle: np.ndarray) -> np.ndarray:
-        """Rows in `surface` of triangles that were met."""
-        return triangle if self.own is None else self.tree.face(triangle)
 
     @cached_property
     def pieces(self) -> Pieces:
@@ -160,7 +152,7 @@ class FrameScorer:
         self._observation = seen = observation.at(vehicles.time_s)
         self.shapes = shapes or FrameShapes(vehicles, counted, seen.detail, seen.caster, seen.bodies)
         self.vehicles = self.shapes.counted
-        self._measurements = [lidar.measurement(vehicles.frame) for lidar in seen.lidars]
+        self._measurements = [lidar.measurement(vehicles.draw) for lidar in seen.lidars]
         self.grids = ViewGrids(self.vehicles.size_m, seen.cell_m, seen.reading)
         self.compiled = None
         ours = self.shapes.own is None  # and no instances
@@ -205,7 +197,7 @@ class FrameScorer:
     def returns_of(self, pose: Pose, hits: Revolution, lidar: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Returns of one LiDAR from counted vehicles, as `vehicle_points`, given what its beams met."""
         scenery, measurement = self._observation.scenery, self._measurements[lidar]
-        row = take(self.shapes.counted_row, self.shapes.solid(hits.triangle))
+        row = take(self.shapes.counted_row, self.shapes.tree.solid(hits.triangle))
         surface = self._surface(hits) if measurement.asks_for_surface else ()
         distance = measurement.measured(hits.beam, hits.distance, *surface)
         wanted = np.flatnonzero((row >= 0) & (distance < np.inf))
@@ -234,7 +226,7 @@ class FrameScorer:
 
     def _surface(self, hits):
         """Whether hits are on glass, their reflectivity and the cosine of their incidence."""
-        surface = take(self.shapes.surface, self.shapes.face(hits.triangle))
+        surface = take(self.shapes.surface, self.shapes.tree.face(hits.triangle))
         cosine = np.abs(dot(self.shapes.tree.normals(hits.triangle).T, hits.directions))
         return surface == GLASS, REFLECTIVITY[surface], cosine
 

@@ -185,6 +185,8 @@ class Vehicles:
         Lane number of the source; 0 where unknown.
     body : ndarray, (n,) int8, or None
         Which of `fleet.BODIES` each has, from 1 on; 0: the usual one of its class and length, None: all have that.
+    since_ms : int
+        Whole milliseconds since the instant before; 0 at one.
     """
 
     frame: int
@@ -196,9 +198,15 @@ class Vehicles:
     heading_rad: np.ndarray
     lane: np.ndarray
     body: np.ndarray | None = None
+    since_ms: int = 0
 
     def __len__(self) -> int:
         return len(self.vehicle_id)
+
+    @property
+    def draw(self) -> int:
+        """What imperfections draw by: `frame` at an instant, another number for each moment between two."""
+        return self.frame + (self.since_ms << 32)
 
     @property
     def class_name(self) -> np.ndarray:
@@ -372,7 +380,8 @@ class Recording:
         columns["centre_m"] += passed * (self.centre_m[after] - columns["centre_m"])
         turn = wrap_angle(self.heading_rad[after] - columns["heading_rad"])
         columns["heading_rad"] = wrap_angle(columns["heading_rad"] + passed * turn)
-        return Vehicles(frame=nearest.frame, time_s=nearest.time_s + since_s - float(clock[near]), **columns)
+        time_s, since_ms = nearest.time_s + since_s - float(clock[near]), round(1e3 * (since_s - float(clock[at])))
+        return Vehicles(frame=nearest.frame, time_s=time_s, since_ms=since_ms, **columns)
 
 
 def unknown_frame(frame: int, recording: Recording) -> InputError:
