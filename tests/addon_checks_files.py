@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 
 import blender_lidar
-from blender_lidar.addon import handlers, properties, session
+from blender_lidar.addon import handlers, operators, properties, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.world.blender.objects import CLOUD, KEY, PART, hang, lidars, role
@@ -135,10 +136,17 @@ def check_a_linked_lidar_is_scanned_and_never_written():
     linked = next(one for one in lidars(scene) if one.library)
     handlers.adopt_all()
     assert linked in session.lidars_of(scene)
+    assert len({row.lidar.name for row in scene.blender_lidar.lidars}) == 1  # of two LiDARs
+    for number, row in enumerate(scene.blender_lidar.lidars):
+        scene.blender_lidar.row = number
+        assert session.active_lidar(scene) == row.lidar
     before, count = (fields(linked.blender_lidar), np.array(linked.matrix_world).tolist()), len(bpy.data.objects)
     choose(linked)
     scene.blender_lidar.frame = FRAME
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    told = []
+    operators.BLENDER_LIDAR_OT_scan.execute(SimpleNamespace(report=lambda *said: told.append(said)), bpy.context)
+    assert f"{linked.name}: {points:,} points at" in told[0][1]
     cloud = cloud_of(linked)
     assert cloud.library is None
     assert len(vertices(cloud)) == points

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 
 import bpy
 import numpy as np
@@ -81,6 +82,11 @@ def check_the_range_of_a_scene_in_use_stays():
     scene.frame_end = 100
     assert bpy.ops.blender_lidar.load_example() == {"FINISHED"}
     assert (scene.frame_start, scene.frame_end, scene.frame_current) == (1, 100, 1)
+    assert scene.blender_lidar.clip
+    own = shutil.copy(scene.blender_lidar.traffic.path, FOLDER / "own.csv.gz")
+    scene.blender_lidar.traffic.path = str(own)
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
+    assert not scene.blender_lidar.clip  # so that the tab names this file
 
 
 def check_steps_go_from_instant_to_instant_and_starts_at_moves_the_clock():

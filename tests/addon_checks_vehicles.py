@@ -133,6 +133,10 @@ def check_an_object_becomes_the_body_of_a_class_and_what_is_changed_of_it_is_see
     for kind in ("car", "van", "truck"):
         setattr(scene.blender_lidar.vehicles, kind, None)
     assert own != scanned(lidar) == before
+    scene.blender_lidar.vehicles.car = before = instance.instance_collection
+    scene.blender_lidar.traffic.path = str(example())
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
+    assert scene.blender_lidar.vehicles.car == before  # the file names none
 
 
 def scanned(lidar):

@@ -12,7 +12,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.report.summary import worth
 from blender_lidar.run.folder import SCENE, RunFolder
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.scene.site import prepare
+from blender_lidar.scene.site import prepare, read_recordings
 from blender_lidar.toml_table import to_toml
 from blender_lidar.traffic import Recording, RepairReport, joined_recordings
 from tests.refusals import refused
@@ -52,6 +52,17 @@ def evaluated(capsys, scene, out):
 def rows_of(folder):
     with (folder / "vehicles.csv").open(encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
+
+
+def test_a_vehicle_that_is_left_out_may_be_in_one_of_the_recordings_alone(tmp_path):
+    both = load_scenario(scene_of(tmp_path, *({**one, "leave_out": [3, 30]} for one in (MORNING, EVENING))))
+    every = read_recordings(load_scenario(scene_of(tmp_path, MORNING, EVENING)))
+    assert [{3, 30} & set(one.vehicle_id) for one in every] == [{3, 30}, {3}]
+    for one, other in zip(read_recordings(both), every, strict=True):
+        assert set(one.vehicle_id) == set(other.vehicle_id) - {3, 30}
+    nowhere = load_scenario(scene_of(tmp_path, MORNING | {"leave_out": [987]}, EVENING))
+    with pytest.raises(InputError, match=r"morning\.csv, .*evening\.csv has no vehicle 987"):
+        read_recordings(nowhere)
 
 
 @pytest.mark.parametrize(("weights", "counts"), [((1.0, 1.0), (6, 4)), ((3.0, 0.5), (6, 4)), ((1.0, 1.0), (5, 5))])

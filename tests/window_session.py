@@ -139,7 +139,9 @@ def steps():
     photograph("3_scanned")
 
     # Drag it with the mouse while it is live: the cloud follows; undo brings both back.
-    called("blender_lidar.select", "EXEC_DEFAULT", True, name="LiDAR")
+    area, region, _ = regions()
+    with bpy.context.temp_override(window=window(), area=area, region=region):
+        bpy.context.scene.blender_lidar.row = 0
     lidar().select_set(True)
     lidar().blender_lidar.live = True
     yield 1.0

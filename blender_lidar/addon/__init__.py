@@ -1,7 +1,7 @@
 """The add-on: LiDARs as objects of Blender, and a tab in the sidebar to scan, score and place them.
 
-Each module has its `classes`, and where it needs more `register`, `unregister`, and `app_handlers` by their names in
-`bpy.app.handlers`.
+Each module has its `classes`, and where it needs more `register`, `unregister`, `app_handlers` by their names in
+`bpy.app.handlers`, and `menus` with what each of them draws besides.
 """
 
 import atexit
@@ -35,16 +35,18 @@ def register() -> None:
     for name in _MODULES:
         module = importlib.import_module(f".{name}", __package__)
         for made in module.classes:
-            _in_own_words(made)
+            _set_translation_context(made)
             bpy.utils.register_class(made)
         _registered.append(module)
         for event, call in getattr(module, "app_handlers", {}).items():
             getattr(bpy.app.handlers, event).append(call)
+        for menu, draw in getattr(module, "menus", ()):
+            menu.append(draw)
         if hasattr(module, "register"):
             module.register()
 
 
-def _in_own_words(made: type) -> None:
+def _set_translation_context(made: type) -> None:
     """Give a class and its properties the translation context of the add-on: half of a panel in German helps nobody."""
     from .properties import CONTEXT  # which a Blender that is too old could not import
 
@@ -65,6 +67,8 @@ def unregister() -> None:
         for event, call in getattr(module, "app_handlers", {}).items():
             if call in getattr(bpy.app.handlers, event):
                 getattr(bpy.app.handlers, event).remove(call)
+        for menu, draw in getattr(module, "menus", ()):
+            menu.remove(draw)
         if hasattr(module, "unregister"):
             module.unregister()
         for made in reversed(module.classes):

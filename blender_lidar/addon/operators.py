@@ -75,13 +75,8 @@ def one_line_errors(execute: Callable) -> Callable:
     return guarded
 
 
-def has_traffic(context: bpy.types.Context) -> bool:
-    """Whether the scene's traffic has been loaded."""
-    return context.scene.blender_lidar.loaded
-
-
 class NeedsLidar:
-    """An operator that is grey, and says why, until there is a LiDAR and, where it is about scores, traffic."""
+    """A panel or an operator, which says why, that is not there until a LiDAR is and, with `of_traffic`, traffic."""
 
     of_traffic = False
 
@@ -89,17 +84,11 @@ class NeedsLidar:
     def poll(cls, context):
         """Whether there are."""
         missing = "Add a LiDAR first: Add > LiDAR" if session.active_lidar(context.scene) is None else ""
-        if cls.of_traffic and not has_traffic(context):
+        if cls.of_traffic and not context.scene.blender_lidar.loaded:
             missing = "Load traffic first: the LiDAR tab of the sidebar, Traffic"
-        if missing:
+        if missing and issubclass(cls, bpy.types.Operator):
             cls.poll_message_set(missing)
         return not missing
-
-
-class NeedsTraffic(NeedsLidar):
-    """An operator that needs traffic too."""
-
-    of_traffic = True
 
 
 # --- Traffic ----------------------------------------------------------------------------------------------------------
@@ -141,12 +130,13 @@ class BLENDER_LIDAR_OT_load(bpy.types.Operator):
     def execute(self, context):
         """Read it; a scene file fills the panel's fields."""
         scene = context.scene
-        path = bpy.path.abspath(scene.blender_lidar.traffic.path)
-        if path.lower().endswith(".toml"):
-            return _take_over(self, context, Path(path))
+        path = Path(bpy.path.abspath(scene.blender_lidar.traffic.path))
+        if path.suffix.lower() == ".toml":
+            return _fill_from_file(self, context, path)
+        scene.blender_lidar.clip &= path.name == session.CLIP[0]
         recording = show_loaded(scene)
         if (lidar := session.active_lidar(scene)) is not None:
-            select(context, lidar)
+            session.select(context, lidar)
             live.frame_site(lidar, lidar.blender_lidar.range_gate_m)
         return _loaded(self, recording)
 
@@ -187,14 +177,14 @@ class BLENDER_LIDAR_OT_load_example(bpy.types.Operator):
         """Fill the panel with the shipped scene."""
         scene = context.scene
         as_made = (scene.frame_start, scene.frame_end) == (1, 250) and not bpy.data.actions
-        answer = _take_over(self, context, shipped_scenes()["i80"], clip=True)
+        answer = _fill_from_file(self, context, shipped_scenes()["i80"], clip=True)
         if as_made:
             length_s = session.recording_of(scene).since_s[-1]
             scene.frame_end = scene.frame_current + round(length_s * scene.render.fps / scene.render.fps_base)
         return answer
 
 
-def _take_over(operator, context, path, *, clip=False):
+def _fill_from_file(operator, context, path, *, clip=False):
     """Fill the panel with a scene file's settings, show its traffic, and let LiDARs hang there that are not there."""
     scene = context.scene
     session.check_unit(scene)
@@ -218,7 +208,7 @@ def _take_over(operator, context, path, *, clip=False):
             found = add_lidar(scene, pose, one.lidar_name or "LiDAR")
         session.fill_lidar(found, tables, folder, scenario, number)
         dress(found, lattice_of(one.sensor))
-    select(context, session.layout_of(scene, found)[0])
+    session.select(context, session.layout_of(scene, found)[0])
     live.frame_site(context.view_layer.objects.active, scenario.sensor.range_gate_m)
     recording = session.keep(scene, recordings)
     ids, frames = scenario.traffic.frame_ids, recording.frames
@@ -238,10 +228,11 @@ def _loaded(operator, recording):
     return {"FINISHED"}
 
 
-class BLENDER_LIDAR_OT_step_frame(NeedsTraffic, bpy.types.Operator):
+class BLENDER_LIDAR_OT_step_frame(NeedsLidar, bpy.types.Operator):
     """Move the timeline to the next or the previous instant of the recording"""
 
     bl_idname, bl_label, bl_options = "blender_lidar.step_frame", "Step Traffic", {"REGISTER", "UNDO"}
+    of_traffic = True
     back: BoolProperty(default=False, options={"SKIP_SAVE"})
 
     @one_line_errors
@@ -267,17 +258,6 @@ def add_lidar(scene: bpy.types.Scene, pose: Pose, name: str = "LiDAR") -> bpy.ty
     dress(lidar, lattice_of(session.sensor_of(lidar)))
     scene.blender_lidar.lidars.add().lidar = scene.blender_lidar.active = lidar
     return lidar
-
-
-def select(context: bpy.types.Context, lidar: bpy.types.Object) -> None:
-    """Select a LiDAR alone and make it active, so that G moves it."""
-    context.view_layer.update()  # which may not know a new one yet
-    if lidar.name in context.view_layer.objects:
-        for item in context.selected_objects:
-            item.select_set(False)
-        context.view_layer.objects.active = lidar
-        lidar.hide_set(False)
-        lidar.select_set(True)
 
 
 def select_wearer(layer: bpy.types.ViewLayer) -> None:
@@ -324,9 +304,8 @@ class BLENDER_LIDAR_OT_add(bpy.types.Operator):
             self.model = preference("sensor")
         if scene.blender_lidar.schema == 0 and not scene.blender_lidar.model.is_property_set("caster"):
             scene.blender_lidar.model.caster = preference("caster")
-        if self.model != "RS-16":
-            lidar.blender_lidar.name_ = self.model
-        select(context, lidar)
+        lidar.blender_lidar.name_ = self.model
+        session.select(context, lidar)
         lidar.blender_lidar.live = self.live
         return {"FINISHED"}
 
@@ -350,24 +329,6 @@ def _beside_what_is_there(context, place: np.ndarray) -> np.ndarray:
 def _shows(layer: bpy.types.LayerCollection, of: bpy.types.Collection) -> bool:
     """Whether a view layer holds a collection."""
     return not layer.exclude and (layer.collection == of or any(_shows(child, of) for child in layer.children))
-
-
-class BLENDER_LIDAR_OT_select(bpy.types.Operator):
-    """Select this LiDAR"""
-
-    bl_idname, bl_label, bl_options = "blender_lidar.select", "Select LiDAR", {"REGISTER", "UNDO"}
-    name: StringProperty(options={"SKIP_SAVE"})
-
-    def execute(self, context):
-        """Choose it."""
-        scene = context.scene
-        lidar = scene.objects.get(self.name)
-        if lidar is None or lidar.name not in context.view_layer.objects:
-            self.report({"ERROR"}, f"no LiDAR {self.name!r} in this view layer")
-            return {"CANCELLED"}
-        scene.blender_lidar.active = lidar
-        select(context, lidar)
-        return {"FINISHED"}
 
 
 def adopt(scene: bpy.types.Scene) -> None:
@@ -451,17 +412,18 @@ class BLENDER_LIDAR_OT_scan(NeedsLidar, bpy.types.Operator):
             group = lidar.blender_lidar
             show_cloud(lidar, vertices_of(look.cloud, vehicles, bits), group.colour_by, group.style)
             session.store(lidar, vehicles, look, base)
-            scored = "" if look.scored is None else f", objective {group.objective:.2f}"
-            told.append(f"{lidar.name}: {group.points:,} points at {group.scanned_s:.2f} s{scored}")
+            scored = "" if look.scored is None else f", objective {float(look.scored.objective.sum()):.2f}"
+            told.append(f"{lidar.name}: {len(look.cloud):,} points at {session.since_of(scene):.2f} s{scored}")
         live.hide_clouds()
         self.report({"INFO"}, "; ".join(told))
         return {"FINISHED"}
 
 
-class BLENDER_LIDAR_OT_set_baseline(NeedsTraffic, bpy.types.Operator):
+class BLENDER_LIDAR_OT_set_baseline(NeedsLidar, bpy.types.Operator):
     """Make the LiDAR's mounting the baseline that gains are measured against"""
 
     bl_idname, bl_label, bl_options = "blender_lidar.set_baseline", "Set as Baseline", {"REGISTER", "UNDO"}
+    of_traffic = True
 
     @one_line_errors
     def execute(self, context):
@@ -526,7 +488,7 @@ class FolderHelper:
 class BLENDER_LIDAR_OT_export_labelled(NeedsLidar, FolderHelper, bpy.types.Operator):
     """Write the cloud of the frame that is shown, and its boxes as labels of SUSTechPOINTS"""
 
-    bl_idname, bl_label = "blender_lidar.export_labelled", "Export Labelled Set"
+    bl_idname, bl_label = "blender_lidar.export_labelled", "Export Labeled Set"
 
     @one_line_errors
     def execute(self, context):
@@ -540,10 +502,11 @@ class BLENDER_LIDAR_OT_export_labelled(NeedsLidar, FolderHelper, bpy.types.Opera
         return {"FINISHED"}
 
 
-class BLENDER_LIDAR_OT_export_run(NeedsTraffic, FolderHelper, bpy.types.Operator):
+class BLENDER_LIDAR_OT_export_run(NeedsLidar, FolderHelper, bpy.types.Operator):
     """Score the mounting on all searched and held-out frames, as evaluate does, into an empty folder"""
 
     bl_idname, bl_label = "blender_lidar.export_run", "Export Run Folder"
+    of_traffic = True
 
     @one_line_errors
     def execute(self, context):
@@ -569,7 +532,6 @@ classes = (
     BLENDER_LIDAR_OT_load_example,
     BLENDER_LIDAR_OT_step_frame,
     BLENDER_LIDAR_OT_add,
-    BLENDER_LIDAR_OT_select,
     BLENDER_LIDAR_OT_scan,
     BLENDER_LIDAR_OT_set_baseline,
     BLENDER_LIDAR_OT_export_cloud,

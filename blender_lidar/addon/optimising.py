@@ -211,11 +211,12 @@ def kept_run(folder: Path, called: str) -> Path:
 
 
 @persistent
+@properties.guarded
 def on_save(*_) -> None:
-    """Move the runs of a file that is saved for the first time beside it."""
+    """Move the runs of a file that is saved for the first time beside it; a file of before names none."""
     for lidar in bpy.data.objects if bpy.data.filepath else ():
-        if lidar.blender_lidar.found:
-            kept_run(Path(found_of(lidar)["folder"]), found_of(lidar)["run"])
+        if lidar.blender_lidar.found and (run := found_of(lidar).get("run")):
+            kept_run(Path(found_of(lidar)["folder"]), run)
 
 
 def run_of(lidar: bpy.types.Object) -> Path:
@@ -224,7 +225,7 @@ def run_of(lidar: bpy.types.Object) -> Path:
     What a file says of it may be older than the file's first saving, or be of another computer.
     """
     found, runs = found_of(lidar), runs_folder()
-    beside = runs / found["run"] if runs is not None else None
+    beside = runs / found["run"] if runs is not None and found.get("run") else None
     return beside if beside is not None and beside.is_dir() else Path(found["folder"])
 
 
@@ -262,7 +263,7 @@ def keep_result(hung: Sequence[bpy.types.Object], job: Optimisation) -> None:
     found |= job.keep(hung[0].name if len(hung) == 1 else "layout")
     for one, row in zip(hung, job.result["lidars"], strict=True):
         before = properties.mounting_of(one).as_table()
-        found["places"][one.name] = {"deployment": row["deployment"], "before": before}
+        found["places"][one.name_full] = {"deployment": row["deployment"], "before": before}
     for one in hung:
         one.blender_lidar.found = json.dumps(found)
 
@@ -272,10 +273,11 @@ def found_of(lidar: bpy.types.Object) -> dict[str, Any]:
     return json.loads(lidar.blender_lidar.found)
 
 
-class BLENDER_LIDAR_OT_optimize(operators.NeedsTraffic, bpy.types.Operator):
+class BLENDER_LIDAR_OT_optimize(operators.NeedsLidar, bpy.types.Operator):
     """Search the mounting that sees the vehicles best"""
 
     bl_idname, bl_label, bl_options = "blender_lidar.optimize", "Optimize", {"REGISTER"}
+    of_traffic = True
     alone: BoolProperty(description="Search this LiDAR, the others of the layout held as they hang")
 
     @operators.one_line_errors
@@ -402,7 +404,8 @@ class _Hangs(_NeedsFound):
     @operators.one_line_errors
     def execute(self, context):
         """Hang it, and those that were optimised with it, and scan."""
-        lidar, there = session.active_lidar(context.scene), {one.name: one for one in session.lidars_of(context.scene)}
+        lidar, there = session.active_lidar(context.scene), session.lidars_of(context.scene)
+        there = {one.name_full: one for one in there}
         places = found_of(lidar).get("places") or {lidar.name: found_of(lidar)}
         hung = [lidar] if len(places) == 1 else [there.get(name) for name in places]
         if None in hung:
@@ -410,7 +413,7 @@ class _Hangs(_NeedsFound):
         for one in hung:
             check_free(one)
         for one, of in zip(hung, places.values(), strict=True):
-            hang(one, mounting_from(of[self.to], properties.road_of(context.scene)).pose)
+            hang(one, mounting_from(of[self.place_key], properties.road_of(context.scene)).pose)
         context.view_layer.update()
         return operators.BLENDER_LIDAR_OT_scan.execute(self, context)
 
@@ -418,13 +421,15 @@ class _Hangs(_NeedsFound):
 class BLENDER_LIDAR_OT_apply(_Hangs, bpy.types.Operator):
     """Hang the LiDAR where the optimization found it best, and scan from there"""
 
-    bl_idname, bl_label, bl_options, to = "blender_lidar.apply", "Apply", {"REGISTER", "UNDO"}, "deployment"
+    bl_idname, bl_label, bl_options = "blender_lidar.apply", "Apply", {"REGISTER", "UNDO"}
+    place_key = "deployment"
 
 
 class BLENDER_LIDAR_OT_revert(_Hangs, bpy.types.Operator):
     """Hang the LiDAR where it was before it was optimized, and scan from there"""
 
-    bl_idname, bl_label, bl_options, to = "blender_lidar.revert", "Revert", {"REGISTER", "UNDO"}, "before"
+    bl_idname, bl_label, bl_options = "blender_lidar.revert", "Revert", {"REGISTER", "UNDO"}
+    place_key = "before"
 
 
 class BLENDER_LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
@@ -464,8 +469,10 @@ def _draw_bounds(layout, lidar, keys):
 
 
 @panels.panel("Optimize", panels.BLENDER_LIDAR_PT_main.__name__, bl_order=5)
-class BLENDER_LIDAR_PT_optimize(panels.OfTraffic, bpy.types.Panel):
+class BLENDER_LIDAR_PT_optimize(panels.OfLidar, bpy.types.Panel):
     """What is searched, how far it is, and what was found."""
+
+    of_traffic = True
 
     def draw_for(self, layout, scene, lidar):
         """A row for each coordinate, the budget, progress and answer."""
@@ -497,8 +504,10 @@ class BLENDER_LIDAR_PT_optimize(panels.OfTraffic, bpy.types.Panel):
 
 
 @panels.panel("Lean and Spin", BLENDER_LIDAR_PT_optimize.__name__, bl_options={"DEFAULT_CLOSED"})
-class BLENDER_LIDAR_PT_lean(panels.OfTraffic, bpy.types.Panel):
+class BLENDER_LIDAR_PT_lean(panels.OfLidar, bpy.types.Panel):
     """The other way to say and to search a rotation."""
+
+    of_traffic = True
 
     def draw_for(self, layout, scene, lidar):
         """A row for each."""
@@ -506,8 +515,10 @@ class BLENDER_LIDAR_PT_lean(panels.OfTraffic, bpy.types.Panel):
 
 
 @panels.panel("Search Budget", BLENDER_LIDAR_PT_optimize.__name__, bl_options={"DEFAULT_CLOSED"})
-class BLENDER_LIDAR_PT_budget(panels.OfTraffic, bpy.types.Panel):
+class BLENDER_LIDAR_PT_budget(panels.OfLidar, bpy.types.Panel):
     """How much is searched, and on what poles."""
+
+    of_traffic = True
 
     def draw_for(self, layout, scene, lidar):
         """Instants, particles, iterations, seed and poles."""

@@ -68,7 +68,7 @@ class BLENDER_LIDAR_PT_main(bpy.types.Panel):
             run.filepath = str(path)
         if session.active_lidar(context.scene) is None:
             self.layout.operator("blender_lidar.add", text="Add LiDAR", icon="ADD", translate=False)
-        if not operators.has_traffic(context):
+        if not context.scene.blender_lidar.loaded:
             say(self.layout, "Load traffic to score and optimize.", icon="INFO")
             self.layout.operator("blender_lidar.load_example", icon="IMPORT", translate=False)
 
@@ -127,26 +127,13 @@ class BLENDER_LIDAR_PT_road(bpy.types.Panel):
             say(layout, line)
 
 
-class OfLidar:
-    """A panel that is there once there is a LiDAR and, where it is about scores, traffic."""
-
-    of_traffic = False
-
-    @classmethod
-    def poll(cls, context):
-        """Whether there are."""
-        return session.active_lidar(context.scene) is not None and operators.has_traffic(context) >= cls.of_traffic
+class OfLidar(operators.NeedsLidar):
+    """A panel about the active LiDAR."""
 
     def draw(self, context):
         """What the panel has for the active LiDAR."""
         self.layout.use_property_split, self.layout.use_property_decorate = True, False
         self.draw_for(self.layout, context.scene, session.active_lidar(context.scene))
-
-
-class OfTraffic(OfLidar):
-    """A panel that is about scores."""
-
-    of_traffic = True
 
 
 class BLENDER_LIDAR_UL_lidars(bpy.types.UIList):
@@ -204,7 +191,7 @@ class BLENDER_LIDAR_PT_scan(OfLidar, bpy.types.Panel):
     """One revolution, and how its points look."""
 
     def draw_for(self, layout, scene, lidar):
-        """Scan, live, colours and noise."""
+        """Scan, live, style, colors and labels."""
         group = lidar.blender_lidar
         row = layout.row(align=True)
         row.operator("blender_lidar.scan", icon="LIGHT_SUN", translate=False)
@@ -234,23 +221,28 @@ def is_stale(scene: bpy.types.Scene, lidar: bpy.types.Object) -> bool:
     return moved or group.scanned_with != session.settings_digest(lidar)
 
 
+def worth_lines(now: tuple[float, float], base: tuple[float, float], vehicles: int) -> list[str]:
+    """An objective with its detectable share in short lines, and the difference to those of the baseline."""
+    lines = [f"Objective {now[0]:.2f}", f"Detectable {100 * now[1]:.0f} % of {vehicles}"]
+    return [*lines, f"Over baseline {now[0] - base[0]:+.2f}, {100 * (now[1] - base[1]):+.0f} pp"]
+
+
 def fused_lines(scene: bpy.types.Scene, lidar: bpy.types.Object) -> list[str]:
     """What the layout of a LiDAR is worth together, in short lines; none where it hangs alone."""
     hung, told = session.layout_of(scene, lidar), json.loads(scene.blender_lidar.fused or "{}")
-    if told.get("lidars") != [one.name for one in hung]:
+    if told.get("lidars") != [one.name_full for one in hung]:
         return []
-    now, base = told["now"], told["baseline"]
-    lines = [f"Layout of {len(hung)}: objective {now['objective']:.2f}"]
-    lines.append(f"Detectable {100 * now['share']:.0f} % of {told['vehicles']}, alone")
-    lines.append(", ".join(f"{one.name} {100 * one.blender_lidar.detectable_share:.0f} %" for one in hung))
-    gain, more = now["objective"] - base["objective"], now["share"] - base["share"]
-    lines.append(f"Over baselines {gain:+.2f}, {100 * more:+.0f} pp")
+    alone = ", ".join(f"{one.name} {100 * one.blender_lidar.detectable_share:.0f} %" for one in hung)
+    now, base = (tuple(told[name].values()) for name in ("now", "baseline"))
+    lines = [f"Layout of {len(hung)}:", *worth_lines(now, base, told["vehicles"]), f"Detectable alone: {alone}"]
     return [*lines, *(["Changed since: scan again."] if any(is_stale(scene, one) for one in hung) else [])]
 
 
 @panel("Score", BLENDER_LIDAR_PT_main.__name__)
-class BLENDER_LIDAR_PT_score(OfTraffic, bpy.types.Panel):
+class BLENDER_LIDAR_PT_score(OfLidar, bpy.types.Panel):
     """What the mounting is worth on this frame, beside the baseline."""
+
+    of_traffic = True
 
     def draw_for(self, layout, scene, lidar):
         """Objective, detectable share and the difference to the baseline."""
@@ -262,10 +254,9 @@ class BLENDER_LIDAR_PT_score(OfTraffic, bpy.types.Panel):
             box = layout.box().column(align=True)
             if group.in_layout:
                 say(box, f"{lidar.name} alone:")
-            gain, more = group.objective - group.baseline_objective, group.detectable_share - group.baseline_share
-            say(box, f"Objective {group.objective:.2f}")
-            say(box, f"Detectable {100 * group.detectable_share:.0f} % of {group.vehicles}")
-            say(box, f"Over baseline {gain:+.2f}, {100 * more:+.0f} pp")
+            now, base = (group.objective, group.detectable_share), (group.baseline_objective, group.baseline_share)
+            for line in worth_lines(now, base, group.vehicles):
+                say(box, line)
             if is_stale(scene, lidar) and not group.live:
                 say(box, "Changed since: scan again.", icon="ERROR")
         base = shared.baseline
@@ -280,10 +271,10 @@ class BLENDER_LIDAR_PT_export(OfLidar, bpy.types.Panel):
     """What goes out."""
 
     def draw_for(self, layout, scene, lidar):
-        """Clouds, labelled sets, a run folder, a .blend file."""
+        """Clouds, labeled sets, a run folder, a .blend file."""
         column = layout.column(align=True)
         column.operator("blender_lidar.export_cloud", text="Cloud", icon="EXPORT", translate=False)
-        column.operator("blender_lidar.export_labelled", text="Labelled Set", translate=False)
+        column.operator("blender_lidar.export_labelled", text="Labeled Set", translate=False)
         column.operator("blender_lidar.export_run", text="Run Folder", translate=False)
         column.operator("wm.save_as_mainfile", text="Copy as .blend", translate=False).copy = True
 
@@ -322,13 +313,4 @@ classes = (
 )
 
 
-def register() -> None:
-    """Put the LiDAR into the Add menu, and its cloud into that of exports."""
-    bpy.types.VIEW3D_MT_add.append(add_menu)
-    bpy.types.TOPBAR_MT_file_export.append(export_menu)
-
-
-def unregister() -> None:
-    """Take them out again."""
-    bpy.types.VIEW3D_MT_add.remove(add_menu)
-    bpy.types.TOPBAR_MT_file_export.remove(export_menu)
+menus = ((bpy.types.VIEW3D_MT_add, add_menu), (bpy.types.TOPBAR_MT_file_export, export_menu))

@@ -162,10 +162,8 @@ def _chosen(table: str, *keys: str) -> dict[str, Setting]:
     return {key: DECLARED[table][key] for key in keys}
 
 
-_TRAFFIC = _chosen(
-    "traffic", "path", "format", "period", "origin_m", "heading_deg", "time_step_s", "frames", "holdout", "block_s"
-)
-_TRAFFIC |= _chosen("traffic", "leave_out")
+_TRAFFIC = _chosen("traffic", "path", "format", "period", "origin_m", "heading_deg", "time_step_s")
+_TRAFFIC |= _chosen("traffic", "frames", "holdout", "block_s", "leave_out")
 _ROAD = _chosen("road", "station_m", "right_edge_m", "setback_m", "lanes", "lane_width_m")
 _ROAD |= _chosen("road", "grade_percent", "cross_fall_percent", "crown_percent")
 _WORLD = _chosen("world", "detail", "ground", "variety", "variety_seed")
@@ -192,8 +190,7 @@ _USUAL = {"x_m": (-10.0, 10.0), "y_m": (-5.0, 0.0), **SEARCHED}  # bounds of a r
 
 
 def _annotations(table: str, keys: Mapping[str, Setting]) -> dict[str, object]:
-    of = {"leave_out": "world"}  # which changes what is shown
-    return {key: made_from(key, declared, of.get(key, table)) for key, declared in keys.items()}
+    return {key: made_from(key, declared, "world" if key == "leave_out" else table) for key, declared in keys.items()}
 
 
 # Groups with one property for each key, as registered classes read them from their annotations.
@@ -201,6 +198,16 @@ GROUPS = {
     table: type(f"BLENDER_LIDAR_PG_{table}", (bpy.types.PropertyGroup,), {"__annotations__": _annotations(table, keys)})
     for table, keys in TABLES.items()
 }
+_OWN_BODIES = {
+    kind: PointerProperty(
+        name=label_of(kind),
+        type=bpy.types.Collection,
+        update=_changed("world"),
+        description="Collection that is shown and scanned in place of the body of each such vehicle, fitted to its box",
+    )
+    for kind in FLEET_KINDS
+}
+GROUPS["vehicles"] = type("BLENDER_LIDAR_PG_vehicles", (bpy.types.PropertyGroup,), {"__annotations__": _OWN_BODIES})
 
 
 # --- What a scene file says, kept beside the fields that it has filled: only those changed since replace it -----------
@@ -256,14 +263,14 @@ class BLENDER_LIDAR_PG_region(bpy.types.PropertyGroup):
     """Where vehicles count: a circle."""
 
     centre_m: FloatVectorProperty(
-        name="Middle",
+        name="Center",
         size=2,
         unit="LENGTH",
-        description="Centre of the circle in which vehicles count, x and y",
+        description="Center of the circle in which vehicles count, x and y",
         update=_changed("region"),
     )
     with_gate: BoolProperty(
-        name="As far as the Gate",
+        name="Up to Range Gate",
         default=True,
         update=_changed("region"),
         description="Use the sensor's range gate as the radius of the circle",
@@ -286,29 +293,10 @@ class BLENDER_LIDAR_PG_region(bpy.types.PropertyGroup):
         }
 
 
-class BLENDER_LIDAR_PG_vehicles(bpy.types.PropertyGroup):
-    """Bodies of the user's own, a collection for each kind of vehicle."""
+def _session():
+    from . import session  # which imports this module
 
-
-for _kind in FLEET_KINDS:
-    BLENDER_LIDAR_PG_vehicles.__annotations__[_kind] = PointerProperty(
-        name=label_of(_kind),
-        type=bpy.types.Collection,
-        update=_changed("world"),
-        description="Collection that is shown and scanned in place of the body of each such vehicle, fitted to its box",
-    )
-
-
-def _shown_frame(group):
-    from . import session
-
-    return session.shown_frame(group.id_data)
-
-
-def _show_frame(group, value):
-    from . import session
-
-    session.show_frame(group.id_data, value)
+    return session
 
 
 class BLENDER_LIDAR_PG_pointer(bpy.types.PropertyGroup):
@@ -318,14 +306,13 @@ class BLENDER_LIDAR_PG_pointer(bpy.types.PropertyGroup):
 
 
 def _chosen_row(group):
-    from . import session
-
-    active = session.active_lidar(group.id_data)
+    active = _session().active_lidar(group.id_data)
     return next((number for number, row in enumerate(group.lidars) if row.lidar == active), -1)
 
 
 def _choose_row(group, index):
-    bpy.ops.blender_lidar.select(name=group.lidars[index].lidar.name)
+    group.active = group.lidars[index].lidar
+    _session().select(bpy.context, group.active)
 
 
 class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
@@ -348,8 +335,8 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
     )
     frame: IntProperty(
         name="Instant",
-        get=_shown_frame,
-        set=_show_frame,
+        get=lambda group: _session().shown_frame(group.id_data),
+        set=lambda group, value: _session().show_frame(group.id_data, value),
         description="Number of the recorded instant that is nearest to the timeline; another one moves the timeline",
     )
     label_by: EnumProperty(
@@ -360,7 +347,7 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
     )
     covered: StringProperty(options={"HIDDEN"}, description="Which share of chosen objects LiDARs saw, as JSON")
     clip: BoolProperty(options={"HIDDEN"}, description="Whether the timeline plays the 20 s of the example")
-    known_frame: IntProperty(options={"HIDDEN"}, description="The same when the traffic was last looked at")
+    known_frame: IntProperty(options={"HIDDEN"}, description="Number of the last known instant")
     starts_s: FloatProperty(
         name="Starts At",
         unit="TIME",
@@ -385,10 +372,9 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
     )
 
 
-for _table in TABLES:
+for _table in GROUPS:
     BLENDER_LIDAR_PG_scene.__annotations__[_table] = PointerProperty(type=GROUPS[_table])
 BLENDER_LIDAR_PG_scene.__annotations__["region"] = PointerProperty(type=BLENDER_LIDAR_PG_region)
-BLENDER_LIDAR_PG_scene.__annotations__["vehicles"] = PointerProperty(type=BLENDER_LIDAR_PG_vehicles)
 
 
 # --- A LiDAR ------------------------------------------------------------------------------------------------------
@@ -584,7 +570,6 @@ for _key, _declared in SEARCHABLE.items():
 
 classes = (
     *GROUPS.values(),
-    BLENDER_LIDAR_PG_vehicles,
     BLENDER_LIDAR_PG_region,
     BLENDER_LIDAR_PG_pointer,
     BLENDER_LIDAR_PG_scene,

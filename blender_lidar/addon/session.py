@@ -105,6 +105,19 @@ def keep_lidars(scene: bpy.types.Scene, found: Iterable[bpy.types.Object]) -> No
         bpy.data.batch_remove([one for one in before - found if one is not None and one.users == 0])
 
 
+def select(context: bpy.types.Context, lidar: bpy.types.Object) -> None:
+    """Select a LiDAR alone and make it active, so that G moves it."""
+    context.view_layer.update()  # which may not know a new one yet
+    try:
+        lidar.hide_set(False)
+    except RuntimeError:  # it is in no collection of this view layer
+        return properties.tell(context.scene, f"LiDAR {lidar.name}: is in no collection of this view layer")
+    for item in context.selected_objects:
+        item.select_set(False)
+    context.view_layer.objects.active = lidar
+    lidar.select_set(True)
+
+
 # --- Settings: a scene file, and the panel's fields as changes to it --------------------------------------------------
 
 
@@ -209,7 +222,7 @@ def layout_scenario(
         shared = {key: value for key, value in fields_of(scene)["baseline"].items() if key not in ("x_m", "y_m")}
         tables |= {"baseline": {}, "sensor": _sensors_of(hung)}
         for one, entry, own in zip(hung, entries, baselines, strict=True):
-            entry["name"] = re.sub(r"[^\w-]", "_", one.name)  # less what no name in a scene file has
+            entry["name"] = re.sub(r"[^\w-]", "_", one.name_full)  # less what no name in a scene file has
             entry |= {"sensor": sensor_of(one).name, "baseline": own or shared}
     elif hung:
         own, changes_of_sensor = _sensor_of(hung[0])
@@ -305,8 +318,8 @@ def fill_scene(scene: bpy.types.Scene, tables: Mapping[str, Any], folder: str, s
     kept = {name: table for name, table in tables.items() if name not in ("sensor", "deployment", "lidar")}
     kept["world"] = {key: value for key, value in kept.get("world", {}).items() if key != "vehicles"}  # which are here:
     for kind in FLEET_KINDS:
-        of = scenario.world.bodies.get(kind)
-        setattr(group.vehicles, kind, of and kept_body(*of, f"{scenario.where('world', 'vehicles')} {kind}"))
+        if of := scenario.world.bodies.get(kind):  # where it names none those of the window stay
+            setattr(group.vehicles, kind, kept_body(*of, f"{scenario.where('world', 'vehicles')} {kind}"))
     kept |= {"region": own, "baseline": found.get("baseline", {}), "road": found["road"]}
     properties.keep_tables(group, kept, folder, fields_of(scene))
     group.schema = properties.SCHEMA
@@ -526,7 +539,7 @@ def shown_frame(scene: bpy.types.Scene) -> int:
     group = scene.blender_lidar
     if not group.loaded:
         return max(scene.frame_current, 0)
-    if uid_of(scene) in _RECORDINGS and group.loaded:
+    if uid_of(scene) in _RECORDINGS:
         return _RECORDINGS[uid_of(scene)][-1].moment(since_of(scene)).frame
     return group.known_frame
 
@@ -700,7 +713,10 @@ def store(lidar: bpy.types.Object, vehicles: Vehicles, look: Look, baseline: Loo
 
 def store_layout(scene, hung: list[bpy.types.Object], frames: list[LiveFrame], looks: list[tuple[Look, Look]]) -> None:
     """Keep with a scene what its layout is worth, fused of what each LiDAR sees now and as its baseline."""
-    told, key = {"lidars": [one.name for one in hung], "vehicles": int(frames[0].frame.counted.sum())}, uid_of(scene)
+    told, key = (
+        {"lidars": [one.name_full for one in hung], "vehicles": int(frames[0].frame.counted.sum())},
+        uid_of(scene),
+    )
     if key not in _FUSED or _FUSED[key][0] != frames:
         _FUSED[key] = frames, FusedScores(frames) if frames[0].scoring else None
     for name, of in zip(("now", "baseline"), zip(*looks, strict=True), strict=True) if _FUSED[key][1] else ():

@@ -66,16 +66,4 @@ def _choose(menu, context) -> None:
 
 
 classes = (BLENDER_LIDAR_OT_use_as_vehicle, BLENDER_LIDAR_PT_vehicles)
-_MENUS = bpy.types.VIEW3D_MT_object, bpy.types.VIEW3D_MT_object_context_menu
-
-
-def register() -> None:
-    """Offer it in the menu Object and on a right click."""
-    for menu in _MENUS:
-        menu.append(_choose)
-
-
-def unregister() -> None:
-    """Offer it no more."""
-    for menu in _MENUS:
-        menu.remove(_choose)
+menus = ((bpy.types.VIEW3D_MT_object, _choose), (bpy.types.VIEW3D_MT_object_context_menu, _choose))

@@ -30,7 +30,6 @@ PANELS = {  # in which panel the settings of a table are
 }
 TOOLTIPS = {
     "path": "Recording of traffic (NGSIM, SUMO, tables and others) or a scene file (.toml)",
-    "format": "What wrote the recording; auto finds out from its first lines",
     "origin_m": "Where the road begins in the recording's own coordinates: two numbers, such as 565432.1, 4184321.9",
     "heading_deg": "Direction of the road in the recording's own coordinates, counter-clockwise from their x axis",
     "time_step_s": "Time from one frame number to the next in a table without times; 0 leaves it to the file",
@@ -45,12 +44,9 @@ TOOLTIPS = {
     "particles": "Mountings that are tried at once",
     "iterations": "How often they move on; more takes longer and finds better",
     "rotation_hz": "Turns per second; 0 takes the model's own",
-    "unit": "Number of the unit: with a Unit Spread each has slightly different beams",
-    "range_noise_m": "Standard deviation of the range noise",
-    "range_at_10_percent_m": "Range at which a target that reflects 10 % is just seen; weaker returns are lost",
     "range_gate_m": "How far the LiDAR is to see vehicles; 0 takes the model's range",
+    "seed": "Another number draws other random steps of the search",
 }
-TOOLTIPS["seed"] = "Another number draws other random steps of the search"
 CHOICES = {
     "auto": "The fastest that is installed: raster, embree or bvh",
     "raster": "Our own rasterizer: the fastest; needs Numba, which is in the fast zip",
@@ -70,9 +66,10 @@ def _of_sensor(name: str) -> str:
     return f"{text}, azimuth step {360.0 / model.columns():.2f}° at {model.default_rotation_hz:g} Hz"
 
 
-def _of_metric(name: str) -> str:
-    return f"{METRICS[name].label[:1].upper()}{METRICS[name].label[1:]}: {METRICS[name].tells}"
+def _metric_item(name: str) -> tuple[str, str, str]:
+    label = f"{METRICS[name].label[:1].upper()}{METRICS[name].label[1:]}"
+    return name, label, f"{label}: {METRICS[name].tells}"
 
 
 SENSORS = [(name, name, _of_sensor(name)) for name in model_names()]
-METRIC_ITEMS = [(name, _of_metric(name).partition(":")[0], _of_metric(name)) for name in METRIC_NAMES]
+METRIC_ITEMS = [_metric_item(name) for name in METRIC_NAMES]

@@ -449,7 +449,14 @@ def read_recording(scenario: Scenario) -> Recording:
 
 def read_recordings(scenario: Scenario) -> list[Recording]:
     """The recordings that a scene names, each by itself."""
-    return [_read_one(replace(scenario, traffic=one), number) for number, one in enumerate(scenario.recordings)]
+    alone = [replace(scenario, traffic=one) for one in scenario.recordings]
+    read = [_read_one(one, number) for number, one in enumerate(alone)]
+    asked = [number for one in alone for number in one.traffic.leave_out or ()]
+    unknown = np.setdiff1d(asked, np.concatenate([one.vehicle_id for one in read]))
+    if len(unknown):
+        sources = ", ".join(one.source for one in read)
+        raise InputError(f"{scenario.where('traffic', 'leave_out')}: {sources} has no vehicle {unknown[0]}")
+    return [_finished(one, recording) for one, recording in zip(alone, read, strict=True)]
 
 
 def _read_one(scenario: Scenario, number: int) -> Recording:
@@ -464,13 +471,14 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
             present = ", ".join(map(str, np.unique(recording.lane)))
             raise InputError(f"{recording.source}: no vehicle in lanes {list(settings.lanes)}; its lanes are {present}")
         recording = recording.where(in_lanes)
-    if settings.leave_out is not None:
-        unknown = np.setdiff1d(settings.leave_out, recording.vehicle_id)
-        if len(unknown):
-            raise InputError(
-                f"{scenario.where('traffic', 'leave_out')}: {recording.source} has no vehicle {unknown[0]}"
-            )
-        recording = recording.where(~np.isin(recording.vehicle_id, settings.leave_out))
+    return recording
+
+
+def _finished(scenario: Scenario, recording: Recording) -> Recording:
+    """A recording without the vehicles that are left out, checked, on the road's surface."""
+    left_out = scenario.traffic.leave_out
+    if left_out is not None:
+        recording = recording.where(~np.isin(recording.vehicle_id, left_out))
     return _on_surface(checked_recording(recording, scenario), scenario.road_map)
 
 

@@ -31,7 +31,7 @@ from .source import (
 )
 from .sumo_types import is_config, person_type, read_types, start_tags, types_of
 from .tracks import drop_repeats
-from .vehicles import CLASSES, Placing, Recording, RepairReport, ground_of
+from .vehicles import CLASSES, Placing, Recording, RepairReport, ground_sample
 
 _LANE = re.compile(".*_([0-9]{1,5})", re.DOTALL)
 _LARGEST_LANE = 2**15 - 2
@@ -106,7 +106,7 @@ def read_sumo(
     placing = Placing(origin_m or (0.0, 0.0), heading_deg or 0.0)
     # SUMO records the front centre, of persons too (`MSPModel_Striping`, where they walk by stripes).
     centre = placing.points(np.column_stack([rows["x"], rows["y"]]) - size[:, :1] / 2 * forward)
-    ground = ground_of(centre, rows["z"])
+    ground = ground_sample(centre, rows["z"])
     return Recording.from_rows(
         frame=frame,
         time_s=rows["time"] / 1000,

@@ -39,7 +39,7 @@ from .source import Column, Rows, first_lines, quoted, read_rows, vehicle_ids, v
 from .sumo import frames_of, kind_of_fcd, parquet_batches
 from .sumo_types import DEFAULT_TYPES, class_in_name
 from .tracks import SLOWEST_M_S, drop_repeats, fitted_velocity, heights, held_heading
-from .vehicles import CLASSES, PEDESTRIAN, Placing, Recording, RepairReport, ground_of
+from .vehicles import CLASSES, PEDESTRIAN, Placing, Recording, RepairReport, ground_sample
 
 _LENGTHS = ("length_m", "width_m", "height_m")
 OPTIONAL = ("z_m", "time_s", "lane")
@@ -165,7 +165,7 @@ def read_table(
             headings_held=0 if held is None else int(held.sum()),
             notes=tuple(notes),
             assumed=(*of_time, *assumed),
-            ground=ground_of(plane, columns.get("z_m", columns["height_m"] / 2) - columns["height_m"] / 2),
+            ground=ground_sample(plane, columns.get("z_m", columns["height_m"] / 2) - columns["height_m"] / 2),
         ),
     )
 

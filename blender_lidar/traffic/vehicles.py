@@ -433,7 +433,7 @@ _FLAT_WITHIN_M = 0.5  # of height over all places
 _SAMPLE = 2000  # places are enough for a slope
 
 
-def ground_of(xy_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
+def ground_sample(xy_m: np.ndarray, z_m: np.ndarray) -> np.ndarray:
     """A sample of the ground under vehicles, (n, 3) [m]: none where no height is known, or all are alike."""
     known = np.flatnonzero(np.isfinite(z_m))
     if not len(known) or np.ptp(z_m[known]) <= _FLAT_WITHIN_M:
