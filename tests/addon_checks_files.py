@@ -14,6 +14,7 @@ from blender_lidar.cli import main as command_line
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.world.blender.objects import CLOUD, KEY, PART, hang, lidars, role
 from blender_lidar.world.blender.points import STYLES, cloud_of, colours_by, set_look, show_cloud
+from blender_lidar.world.blender.site import open_scenery
 from tests.addon_sample import (
     FOLDER,
     FRAME,
@@ -130,6 +131,12 @@ def check_a_linked_lidar_is_scanned_and_never_written():
     scene = new_file()
     with bpy.data.libraries.load(path, link=True) as (there, here):
         here.collections = [name for name in there.collections if name == "LiDAR"]
+        here.scenes = there.scenes
+    here.scenes[0].blender_lidar.lidars.clear()
+    handlers.on_history()
+    handlers.on_update(here.scenes[0])
+    assert not len(here.scenes[0].blender_lidar.lidars), "a linked scene is written"
+    bpy.data.scenes.remove(here.scenes[0])
     scene.collection.children.link(here.collections[0])
     scene.blender_lidar.traffic.path = str(example())
     assert bpy.ops.blender_lidar.load() == {"FINISHED"}  # which adds one of this file
@@ -203,6 +210,17 @@ def check_files_of_before_are_taken_over():
     assert (group.name_, group.colour_by, group.range_gate_m, group.points) == ("VLP-16", "ring", 42.0, 7)
     assert "lidar" not in lidar
     assert coordinates_of(lidar) == place
+    scene = new_file()
+    with bpy.data.libraries.load(path, link=True) as (there, here):
+        here.collections = [name for name in there.collections if name == "LiDAR"]
+    scene.collection.children.link(here.collections[0])
+    assert {child.name.split(".")[0]: role(child) for child in lidars(scene)[0].children}["Head"] == PART
+    bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "links.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "links.blend"))
+    (lidar,) = session.lidars_of(bpy.context.scene)
+    assert lidar.library is not None
+    assert lidar.blender_lidar.name_ == "VLP-16"
+    assert not len(open_scenery(bpy.context.scene, bpy.context.view_layer))
 
 
 def check_what_a_deleted_lidar_wore_goes_with_it():

@@ -130,6 +130,11 @@ def check_an_object_becomes_the_body_of_a_class_and_what_is_changed_of_it_is_see
     assert scene.blender_lidar.vehicles.car == scene.blender_lidar.vehicles.truck
     choose(lidar)
     own = scanned(lidar)
+    bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "own.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "own.blend"))
+    scene, (lidar,) = bpy.context.scene, lidars(bpy.context.scene)
+    assert session.uid_of(scene) in session._BODIES, "a render would have to read them"
+    assert scanned(lidar) == own
     for kind in ("car", "van", "truck"):
         setattr(scene.blender_lidar.vehicles, kind, None)
     assert own != scanned(lidar) == before

@@ -351,3 +351,8 @@ def test_gizmos_read_and_write_the_fields_of_the_active_lidar(tmp_path):
         bpy.context.view_layer.update()
         assert gizmos._value(key) == pytest.approx(value, abs=1e-4)
     assert properties.mounting_of(lidar).height_m == pytest.approx(3.5)
+    gizmos._set("range_gate_m", -3.0)
+    assert lidar.blender_lidar.range_gate_m == pytest.approx(0.1)
+    bpy.data.objects.remove(lidar)  # in a drag
+    gizmos._set("height_m", 4.0)
+    assert gizmos._value("height_m") == 0.0

@@ -180,6 +180,40 @@ def test_pictures_of_an_animation_have_the_cloud_of_their_frame(lidar):
     assert before.shape != after.shape or (before != after).any()
 
 
+def test_a_render_looks_from_where_each_frame_takes_the_lidar(lidar, tmp_path):
+    scene, cart = bpy.context.scene, bpy.data.objects.new("Cart", None)
+    scene.collection.objects.link(cart)
+    lidar.parent = cart
+    for frame, x_m in ((1, 0.0), (3, 50.0)):
+        cart.location.x = x_m
+        cart.keyframe_insert("location", frame=frame)
+    scene.frame_set(1)
+    lidar.blender_lidar.live, seen = True, []
+    before = moved(lidar, height_m=4.0).look.pose
+
+    def note(scene, depsgraph):
+        cloud = cloud_of(lidar)
+        away = lidar.evaluated_get(depsgraph).matrix_world @ cloud.matrix_parent_inverse  # of the cloud from the road
+        shown = live._state.shown[session.uid_of(lidar)]
+        assert not shown.problem
+        if live._state.rendering:
+            seen.append((shown.look.pose.x_m - before.x_m, away.translation.length))
+
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    scene.camera, scene.frame_start, scene.frame_end = camera, 1, 3
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 1, False
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    scene.render.filepath = str(tmp_path / "film_")
+    bpy.app.handlers.frame_change_post.append(note)
+    try:
+        bpy.ops.render.render(animation=True)
+    finally:
+        bpy.app.handlers.frame_change_post.remove(note)
+    assert sorted({round(x_m) for x_m, _ in seen}) == [0, 25, 50]
+    assert max(away_m for _, away_m in seen) < 1e-4, seen
+
+
 def test_live_refuses_in_the_words_of_scan_and_draws_nothing_stale(lidar):
     lidar.blender_lidar.live = True
     moved(lidar, height_m=4.0)

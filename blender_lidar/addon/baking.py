@@ -16,7 +16,6 @@ from pathlib import Path
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
-from mathutils import Matrix
 
 from ..clouds.files import record_of, write_cloud
 from ..clouds.snapshot import MountedSensor, entropy_of_vehicles, vertices_of
@@ -24,7 +23,7 @@ from ..errors import BlenderLidarError, InputError, one_line
 from ..files import make_folder, source_digest
 from ..scene.site import lattice_of
 from ..sensors.pose import Pose
-from ..world.blender.objects import pose_of, to_road
+from ..world.blender.objects import pose_of
 from ..world.blender.points import cloud_of, show_cloud
 from ..world.scenery import NO_LABEL
 from . import live, operators, panels, properties, session
@@ -162,10 +161,7 @@ def on_frame(scene, depsgraph=None, *_) -> None:
             continue
         name = f"frame_{scene.frame_current:04d}"
         points, _shown[session.uid_of(lidar)] = _read(next(folder.glob(f"{name}.p*"), folder / name))
-        cloud = show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style)
-        if depsgraph is not None:  # while rendering, what moves is known there alone
-            there = to_road(scene, depsgraph) @ np.array(lidar.evaluated_get(depsgraph).matrix_world)
-            cloud.matrix_parent_inverse = Matrix(there).inverted_safe()
+        show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style, depsgraph)
 
 
 @persistent

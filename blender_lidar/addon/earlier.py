@@ -1,11 +1,11 @@
-"""Migration: .blend files of before, whose names for roles and settings are taken over when they are opened."""
+"""Migration: names for roles and settings in .blend files of before, also linked ones, when a file is opened."""
 
 import bpy
 
-from ..world.blender.objects import KEY, lidars
+from ..world.blender.objects import EARLIER_KEY, KEY, lidars
 from . import operators, properties, session
 
-_ROLE, _SETTINGS = "blender_lidar", "lidar"  # custom properties then
+_SETTINGS = "lidar"  # custom property then
 # Models in the order that their numbers were in.
 _MODELS = (
     "HDL-32E HDL-64E-S2 HDL-64E-S3 OS0-128 OS0-32 OS1-128 OS1-32 OS1-64 OS2-128 OS2-32 Pandar128 Pandar40P Pandar64 "
@@ -15,22 +15,22 @@ _MODELS = (
 
 
 @properties.guarded
-def take_over() -> None:
-    """Give what a file of before holds its present names; other files stay as they are."""
+def migrate() -> None:
+    """Give what a file of before holds its present names, what is linked in memory alone; other files stay."""
     data = bpy.data
     for blocks in (data.objects, data.collections, data.materials, data.meshes, data.node_groups, data.worlds):
         for block in blocks:
-            if block.library is None and isinstance(role := block.get(_ROLE), str):
-                del block[_ROLE]
+            if isinstance(role := block.get(EARLIER_KEY), str):
+                del block[EARLIER_KEY]
                 block[KEY] = role
     for lidar in data.objects:
-        if lidar.library is None and KEY in lidar and hasattr(old := lidar.get(_SETTINGS), "to_dict"):
+        if KEY in lidar and hasattr(old := lidar.get(_SETTINGS), "to_dict"):
             with properties.silently():
                 _fill(lidar.blender_lidar, old.to_dict())
             del lidar[_SETTINGS]
 
-    for scene in data.scenes:
-        old = scene.get(_ROLE) if scene.library is None else None
+    for scene in (one for one in data.scenes if one.library is None):
+        old = scene.get(EARLIER_KEY)
         old = old.to_dict() if hasattr(old, "to_dict") else {}
         if isinstance(old.get("active"), str):
             scene.blender_lidar.active = scene.objects.get(old["active"])

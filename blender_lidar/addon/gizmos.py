@@ -13,21 +13,24 @@ from ..world.blender.objects import frame_of, is_local
 from . import properties, session
 
 _COLOURS = {"height_m": (0.3, 0.6, 1.0), "tilt_x_deg": (1.0, 0.3, 0.3), "range_gate_m": (1.0, 0.8, 0.2)}
+_LEAST = {"height_m": 0.0, "range_gate_m": 0.1}  # a range gate of 0 is the model's own range
 _STILL_S = 0.4  # after the last change a drag is taken for ended, so that it is one step of undo
 _changed_at = 0.0
 
 
 def _value(key):
     lidar = session.active_lidar(bpy.context.scene)
+    if lidar is None:  # deleted in a drag
+        return 0.0
     value = getattr(lidar.blender_lidar, key)
     return value or session.sensor_of(lidar).range_gate_m if key == "range_gate_m" else value
 
 
 def _set(key, value):
     global _changed_at
-    setattr(
-        session.active_lidar(bpy.context.scene).blender_lidar, key, max(value, 0.0) if key != "tilt_x_deg" else value
-    )
+    lidar = session.active_lidar(bpy.context.scene)
+    if lidar is not None:
+        setattr(lidar.blender_lidar, key, max(value, _LEAST.get(key, value)))
     _changed_at = time.monotonic()
     if not bpy.app.background and not bpy.app.timers.is_registered(_push):
         bpy.app.timers.register(_push, first_interval=_STILL_S)
@@ -84,3 +87,9 @@ class BLENDER_LIDAR_GGT_lidar(bpy.types.GizmoGroup):
 
 
 classes = (BLENDER_LIDAR_GGT_lidar,)
+
+
+def unregister() -> None:
+    """Push nothing more."""
+    if bpy.app.timers.is_registered(_push):
+        bpy.app.timers.unregister(_push)

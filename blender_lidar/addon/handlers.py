@@ -18,8 +18,10 @@ def on_load(*_) -> None:
     """Let go of what the file before had, and take over what this one was built with."""
     session.forget()
     _failed.clear()
-    earlier.take_over()
+    earlier.migrate()
     adopt_all()
+    for scene in bpy.data.scenes:  # a render may need them, in which none can be read
+        properties.guarded(session.bodies_shown)(scene)
 
 
 @persistent
@@ -28,7 +30,8 @@ def on_history(*_) -> None:
     """Look for all LiDARs again after undo and redo, and complete them at the next moment."""
     _failed.clear()
     for scene in bpy.data.scenes:
-        session.keep_lidars(scene, lidars(scene))
+        if scene.library is None:
+            session.keep_lidars(scene, lidars(scene))
     _at_next(adopt_all)
 
 
@@ -36,6 +39,8 @@ def on_history(*_) -> None:
 @properties.guarded
 def on_update(scene, depsgraph=None, *_) -> None:
     """Keep the LiDARs among what Blender has evaluated again; complete and select them at the next moment."""
+    if scene.library is not None:
+        return
     known = {row.lidar for row in scene.blender_lidar.lidars}
     told = depsgraph is not None and depsgraph.id_type_updated("SCENE")  # also of what is new; others are many
     ids = [change.id for change in depsgraph.updates] if told else []
@@ -119,19 +124,13 @@ def register() -> None:
     """Listen."""
     properties.ON_CHANGE.append(on_change)
     if not bpy.app.background:  # data cannot be read while add-ons are enabled at the start
-        bpy.app.timers.register(_enabled, first_interval=0.1)
-
-
-@properties.guarded
-def _enabled() -> None:
-    earlier.take_over()
-    adopt_all()
+        bpy.app.timers.register(on_load, first_interval=0.1)
 
 
 def unregister() -> None:
     """Listen no more."""
     properties.ON_CHANGE.remove(on_change)
-    for call in (adopt_all, _enabled, _select_wearers):
+    for call in (adopt_all, on_load, _select_wearers):
         if bpy.app.timers.is_registered(call):
             bpy.app.timers.unregister(call)
     session.forget()

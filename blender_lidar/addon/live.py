@@ -108,7 +108,7 @@ def update(graph: bpy.types.Depsgraph | None = None) -> None:
         for lidar in mine:
             shown = _state.shown.setdefault(session.uid_of(lidar), _Shown())
             try:
-                if _update_one(scene, lidar, shown, objects):
+                if _update_one(scene, lidar, shown, objects, graph):
                     shown.problem, moved = "", True
             except BlenderLidarError as error:
                 shown.problem, moved = " ".join(str(error).split()), True
@@ -144,16 +144,17 @@ def _open_scenes() -> list[tuple[bpy.types.Scene, bpy.types.ViewLayer]]:
     return list(found.values()) or [(bpy.context.scene, bpy.context.view_layer)]
 
 
-def _update_one(scene, lidar, shown, objects) -> bool:
+def _update_one(scene, lidar, shown, objects, graph) -> bool:
     """Look from a LiDAR unless it was looked at as it is now; whether that was done."""
     check_local(lidar)
-    group, mounting, since_s = lidar.blender_lidar, properties.mounting_of(lidar), session.since_of(scene)
+    group, mounting = lidar.blender_lidar, properties.mounting_of(lidar, depsgraph=graph)
+    since_s = session.since_of(scene)
     now = mounting, since_s, session.is_traffic_shown(scene), objects.state, group.colour_by
     if now == shown.seen:
         return False
     shown.seen = now
     if shown.frame is None or shown.since_s != since_s or session.dragged_off(lidar, mounting):
-        shown.frame, shown.since_s = session.live_frame(scene, lidar), since_s
+        shown.frame, shown.since_s = session.live_frame(scene, lidar, depsgraph=graph), since_s
         shown.scenario, shown.baseline = session.scenario_from(scene, lidar), None
     frame, vehicles = shown.frame, shown.frame.frame.vehicles
     if session.has_road(scene):
@@ -199,10 +200,10 @@ def hide_clouds(*_) -> None:
                 cloud.hide_set(True, view_layer=layer)
 
 
-def write_clouds(*_) -> None:
-    """Let the clouds of live LiDARs be what was seen last."""
+def write_clouds(graph: bpy.types.Depsgraph | None = None) -> None:
+    """Let the clouds of live LiDARs be what was seen last, where a renderer has evaluated `graph`."""
     for lidar, _layer, shown in _looked_at():
-        _write(lidar, shown)
+        _write(lidar, shown, graph)
 
 
 def _looked_at():
@@ -222,11 +223,11 @@ def _cloud(lidar, shown):
     return cloud
 
 
-def _write(lidar, shown):
+def _write(lidar, shown, graph=None):
     """Let a cloud be what was seen last, but where undo has ended it, or the LiDAR cannot look."""
     if shown.look is not None and shown.frame is not None and not shown.problem:
         points = vertices_of(shown.look.cloud, shown.frame.frame.vehicles, shown.bits)
-        return show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style)
+        return show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style, graph)
     return _cloud(lidar, shown)
 
 
@@ -415,7 +416,7 @@ def on_frame(scene, depsgraph=None, *_) -> None:
     _heed(depsgraph)
     if _state.rendering and depsgraph is not None:
         update(depsgraph)
-        write_clouds()
+        write_clouds(depsgraph)
     _soon()
 
 

@@ -428,8 +428,10 @@ def guarded(call: Callable) -> Callable:
     return safe
 
 
-def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None) -> Mounting:
+def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None, depsgraph=None) -> Mounting:
     """How a LiDAR hangs beside a `road`, its scene's unless said; its coordinates are rounded to what Blender holds.
+
+    With a `depsgraph` it hangs as that has evaluated it.
 
     Raises
     ------
@@ -437,7 +439,7 @@ def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None) -> Mountin
         For a LiDAR that is mirrored or sheared, or a road frame that is tilted or scaled.
     """
     road = road_of(scene_of(lidar)) if road is None else road
-    tables, pose = kept_of(lidar.blender_lidar).tables, pose_of(lidar)
+    tables, pose = kept_of(lidar.blender_lidar).tables, pose_of(lidar, depsgraph)
     filed, towards = tables.get("deployment", {}), tables.get("mast", {}).get("towards")
     facing = filed.get("facing_deg", 90.0 if towards is None else facing_deg((pose.x_m, pose.y_m), towards))
     hung = hung_at(pose, road, math.radians(facing))

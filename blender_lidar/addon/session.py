@@ -587,12 +587,17 @@ def time_text(scene: bpy.types.Scene) -> str:
 
 
 def live_frame(
-    scene: bpy.types.Scene, lidar: bpy.types.Object, *, exact: bool = False, bodies: OwnBodies | None = None
+    scene: bpy.types.Scene,
+    lidar: bpy.types.Object,
+    *,
+    exact: bool = False,
+    bodies: OwnBodies | None = None,
+    depsgraph: bpy.types.Depsgraph | None = None,
 ) -> LiveFrame:
     """The frame that a scene shows, ready to be seen by one of its LiDARs; kept until something changes.
 
     It is ready for wherever the LiDAR is dragged within 60 m; `exact` has clutter kept clear of where it hangs now,
-    and own bodies read again unless they are given.
+    and own bodies read again unless they are given. With a `depsgraph` LiDARs hang as that has evaluated them.
 
     Raises
     ------
@@ -601,7 +606,7 @@ def live_frame(
     """
     hung, vehicles, key = layout_of(scene, lidar), vehicles_of(scene), uid_of(lidar)
     bodies = bodies or own_bodies(scene, again=exact)
-    whole, layout = layout_scenario(scene, hung), [properties.mounting_of(one) for one in hung]
+    whole, layout = layout_scenario(scene, hung), [properties.mounting_of(one, depsgraph=depsgraph) for one in hung]
     scenario, mounting = whole.alone(hung.index(lidar)), layout[hung.index(lidar)]
     tables, stamps = scenario.as_tables(), [stamp(path) for path in scenario.files.values()]
     tables = {name: tables[name] for name in tables if name not in ("deployment", "search", "lidar")}

@@ -18,6 +18,7 @@ from ..scenery import Scenery
 # --- What an object of ours stands for, kept in a custom property, so that a scene can be read back and shown again -
 
 KEY = "blender_lidar_role"  # custom property of our objects and collections
+EARLIER_KEY = "blender_lidar"  # and in files of before
 VEHICLE, ROAD_ROLE, MARKING, STANDING = "vehicle", "road", "marking", "scenery"
 SENSOR, PART, FAN, CLOUD, STAGE = "lidar", "lidar part", "beam fan", "cloud", "stage"
 DETECTION_ROLE = "detections"
@@ -29,8 +30,9 @@ SETTINGS = "blender_lidar_sensor"  # custom property of a LiDAR that was built w
 
 
 def role(thing: bpy.types.ID) -> str | None:
-    """What a thing of ours stands for; None for what is not ours."""
-    return thing.get(KEY)
+    """What a thing of ours stands for, also in a linked file of before; None for what is not ours."""
+    found = thing.get(KEY) if thing.library is None else thing.get(KEY, thing.get(EARLIER_KEY))
+    return found if isinstance(found, str) else None  # the other one may hold the add-on's properties
 
 
 def made_once(blocks: Iterable[bpy.types.ID], key: str, make: Callable[[], bpy.types.ID]) -> bpy.types.ID:
@@ -361,15 +363,15 @@ def _pole(into: bpy.types.Collection, lidar: bpy.types.Object, frame: bpy.types.
     return pole
 
 
-def pose_of(lidar: bpy.types.Object) -> Pose:
-    """The mounting that a LiDAR's transform says, in single precision.
+def pose_of(lidar: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Pose:
+    """The mounting that a LiDAR's transform says, in single precision; see `matrix_of`.
 
     Raises
     ------
     InputError
         For a LiDAR that is mirrored or sheared, or a road frame that is tilted or scaled.
     """
-    matrix = matrix_of(lidar)
+    matrix = matrix_of(lidar, depsgraph)
     place, turn, _ = matrix.decompose()
     if matrix.determinant() < 0.0:
         raise InputError(f"{lidar.name}: is mirrored; allowed: a LiDAR with positive scale")
@@ -380,8 +382,10 @@ def pose_of(lidar: bpy.types.Object) -> Pose:
     return Pose(*place, *tilts_of(np.array(turn.to_matrix()).T))  # for rows
 
 
-def matrix_of(lidar: bpy.types.Object) -> Matrix:
+def matrix_of(lidar: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Matrix:
     """A LiDAR's transform in the road frame, as it is now unless other objects have a say in it.
+
+    With a `depsgraph` it is as that has evaluated it: while a renderer goes through frames, nothing else knows.
 
     Raises
     ------
@@ -389,7 +393,9 @@ def matrix_of(lidar: bpy.types.Object) -> Matrix:
         For a road frame that is tilted or scaled.
     """
     scene = scene_of(lidar)
-    into, frame = to_road(scene), frame_of(scene)
+    into, frame = to_road(scene, depsgraph), frame_of(scene)
+    if depsgraph is not None:
+        return Matrix(into @ np.array(lidar.evaluated_get(depsgraph).matrix_world))
     if frame is not None and lidar.parent == frame and not lidar.constraints:  # its world has fewer digits
         return lidar.matrix_parent_inverse @ lidar.matrix_basis
     return Matrix(into @ np.array(_world_of(lidar)))

@@ -72,7 +72,11 @@ def colours_by(name: str, points: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def show_cloud(
-    lidar: bpy.types.Object, points: Mapping[str, np.ndarray], colour_by: str = "entropy", style: str = "Points"
+    lidar: bpy.types.Object,
+    points: Mapping[str, np.ndarray],
+    colour_by: str = "entropy",
+    style: str = "Points",
+    depsgraph: bpy.types.Depsgraph | None = None,
 ) -> bpy.types.Object:
     """The cloud of a LiDAR in the road frame, its child; written in place where there is one.
 
@@ -85,6 +89,8 @@ def show_cloud(
         that a point lies on, -1 for none, `entropy`, its PE-VGOP [bits], `range` [m] and others.
     colour_by, style : str
         The attribute that colours a new cloud, see `colours_by`, in one of `STYLES`; an earlier one keeps its look.
+    depsgraph : Depsgraph, optional
+        What a renderer has evaluated, see `objects.matrix_of`.
     """
     item = cloud_of(lidar)
     if item is None:
@@ -95,8 +101,6 @@ def show_cloud(
         item.hide_select = True
         only_for_the_eye(item)
         item.modifiers.new("Look", "NODES")
-        for area in (area for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"):
-            area.spaces.active.shading.show_object_outline = False  # which covers points in solid views
     elif item.data.users > 1:  # of a LiDAR that was duplicated with its cloud linked
         item.data = item.data.copy()
     write_cloud(item.data, points)
@@ -104,8 +108,9 @@ def show_cloud(
     if any(group is None or role(group) == _OLD_GROUP for group in groups):
         set_style(item, style)
         set_look(item, {"Color By": colour_by})
-    item.parent = lidar  # whose frame is another than that of the vertices
-    item.matrix_parent_inverse = matrix_of(lidar).inverted_safe()
+    if item.parent != lidar:  # written again, Blender would sort all objects anew
+        item.parent = lidar
+    item.matrix_parent_inverse = matrix_of(lidar, depsgraph).inverted_safe()  # vertices are in the road frame
     return item
 
 
