@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from blender_lidar.addon import optimising, session
+from blender_lidar.addon import live, optimising, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.world.blender.objects import add_object, lidars, new_mesh
 from blender_lidar.world.blender.site import visible_triangles
@@ -135,18 +135,33 @@ def check_an_object_becomes_the_body_of_a_class_and_what_is_changed_of_it_is_see
     scene, (lidar,) = bpy.context.scene, lidars(bpy.context.scene)
     assert session.uid_of(scene) in session._BODIES, "a render would have to read them"
     assert scanned(lidar) == own
+    lidar.blender_lidar.live = True
+    bpy.data.objects["Wedge"].data.vertices[3].co.z = 1.2
+    bpy.data.objects["Wedge"].data.update()
+    bpy.context.view_layer.update()
+    live.update()
+    edited = told(lidar)
+    assert edited != own
+    assert not live._state.reshaped
+    lidar.blender_lidar.live = False
+    assert scanned(lidar) == edited
     for kind in ("car", "van", "truck"):
         setattr(scene.blender_lidar.vehicles, kind, None)
     assert own != scanned(lidar) == before
-    scene.blender_lidar.vehicles.car = before = instance.instance_collection
+    scene.blender_lidar.vehicles.car = before = bpy.data.objects["Dropped"].instance_collection
     scene.blender_lidar.traffic.path = str(example())
     assert bpy.ops.blender_lidar.load() == {"FINISHED"}
     assert scene.blender_lidar.vehicles.car == before  # the file names none
 
 
 def scanned(lidar):
-    """What a scan found, as the tab says it."""
+    """What a scan found."""
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
+    return told(lidar)
+
+
+def told(lidar):
+    """What the tab says of it."""
     group = lidar.blender_lidar
     return group.points, group.objective, group.detectable_share
 

@@ -67,7 +67,7 @@ def preview():
     preview = VisibleObjects()
 
     def told(scene, depsgraph):
-        preview.heed(depsgraph.updates)
+        preview.note_updates(depsgraph.updates)
 
     bpy.app.handlers.depsgraph_update_post.append(told)
     bpy.app.handlers.frame_change_post.append(told)

@@ -69,6 +69,7 @@ class _State:
     shown: dict[str, _Shown] = field(default_factory=dict)
     boxes: dict[str, _Boxes] = field(default_factory=dict)
     objects: dict[str, VisibleObjects] = field(default_factory=dict)
+    reshaped: set[str] = field(default_factory=set)  # scenes with vehicles' own bodies that were edited
     drawing: object = None
     rendering: bool = False
 
@@ -92,13 +93,15 @@ def update(graph: bpy.types.Depsgraph | None = None) -> None:
         mine = _live_in(scene)
         live |= {session.uid_of(lidar): lidar for lidar in mine}
         if not mine:
+            _state.boxes.pop(session.uid_of(scene), None)
             continue
         objects = _state.objects.get(session.uid_of(scene))
         if objects is None:
             objects = _state.objects[session.uid_of(scene)] = VisibleObjects()
-        if graph is None:
-            layer.update()  # instances of objects that have gone since would crash Blender
         try:
+            if graph is None:
+                _read_bodies(scene)
+                layer.update()  # instances of objects that have gone since would crash Blender
             objects.refresh(scene, graph or layer.depsgraph)
         except BlenderLidarError as error:
             objects.forget()  # so that all is looked at again
@@ -123,10 +126,19 @@ def update(graph: bpy.types.Depsgraph | None = None) -> None:
                 problems.append(" ".join(str(error).split()))
             properties.tell(scene, problems[0] if problems else "")
     for key in set(_state.shown) - live.keys():
-        _end(key, _state.shown.pop(key))
+        _end(key)
     if graph is None:
         hide_clouds()
     _draw_if(bool(_state.shown))
+
+
+def _read_bodies(scene):
+    """Read vehicles' own bodies again, where one was edited."""
+    if session.uid_of(scene) in _state.reshaped:
+        _state.reshaped.discard(session.uid_of(scene))
+        session.bodies_shown(scene, again=True)
+        for shown in _state.shown.values():
+            shown.seen = shown.frame = None
 
 
 def _live_in(scene):
@@ -195,9 +207,13 @@ def hide_clouds(*_) -> None:
     for lidar, layer, shown in _looked_at():
         if (cloud := _cloud(lidar, shown)) is None and shown.look is not None:
             cloud = _write(lidar, shown)
-        if cloud is not None and not cloud.hide_get(view_layer=layer):
-            with suppress(RuntimeError):  # it is in no collection of this view layer
-                cloud.hide_set(True, view_layer=layer)
+        _hide(cloud, layer, hidden=True)
+
+
+def _hide(cloud, layer, *, hidden):
+    if cloud is not None and cloud.hide_get(view_layer=layer) != hidden:
+        with suppress(RuntimeError):  # it is in no collection of this view layer
+            cloud.hide_set(hidden, view_layer=layer)
 
 
 def write_clouds(graph: bpy.types.Depsgraph | None = None) -> None:
@@ -231,16 +247,12 @@ def _write(lidar, shown, graph=None):
     return _cloud(lidar, shown)
 
 
-def _end(key: str, shown: _Shown) -> None:
+def _end(key: str) -> None:
     """Let Blender's own points stand for what was drawn last."""
-    for scene, layer in _open_scenes():
-        lidars = session.lidars_of(scene)
-        for lidar in lidars:
-            if session.uid_of(lidar) == key and (cloud := _write(lidar, shown)) is not None:
-                with suppress(RuntimeError):
-                    cloud.hide_set(False, view_layer=layer)
-        if not any(session.uid_of(one) in _state.shown for one in lidars):
-            _state.boxes.pop(session.uid_of(scene), None)
+    for lidar, layer, shown in _looked_at():
+        if session.uid_of(lidar) == key:
+            _hide(_write(lidar, shown), layer, hidden=False)
+    del _state.shown[key]
     redraw()
 
 
@@ -400,20 +412,27 @@ def box_corners(vehicles: Vehicles) -> np.ndarray:
 @properties.guarded
 def on_update(scene, depsgraph=None, *_) -> None:
     """Mark what Blender has evaluated again."""
-    _heed(depsgraph)
+    _note_updates(depsgraph)
     _soon()
 
 
-def _heed(depsgraph):
-    for objects in () if depsgraph is None else _state.objects.values():
-        objects.heed(depsgraph.updates)
+def _note_updates(depsgraph):
+    if depsgraph is None:
+        return
+    for objects in _state.objects.values():
+        objects.note_updates(depsgraph.updates)
+    scene = depsgraph.scene.original
+    if session.uid_of(scene) in _state.objects:  # not that in which bodies are read
+        changed = {one.id.original for one in depsgraph.updates if one.is_updated_geometry}
+        if any(changed & set(of.all_objects) for of in session.chosen_bodies(scene).values()):
+            _state.reshaped.add(session.uid_of(scene))
 
 
 @persistent
 @properties.guarded
 def on_frame(scene, depsgraph=None, *_) -> None:
     """Mark another time; while a renderer asks for it, look at once and write what is seen into the cloud."""
-    _heed(depsgraph)
+    _note_updates(depsgraph)
     if _state.rendering and depsgraph is not None:
         update(depsgraph)
         write_clouds(depsgraph)
@@ -435,7 +454,7 @@ def on_history(*_) -> None:
 @properties.guarded
 def on_load(*_) -> None:
     """Let go of what was drawn of the file before."""
-    for kept in (_state.shown, _state.boxes, _state.objects):
+    for kept in (_state.shown, _state.boxes, _state.objects, _state.reshaped):
         kept.clear()
     _state.rendering = False
     _draw_if(False)
@@ -448,9 +467,7 @@ def on_save(*_) -> None:
     """Save the clouds of live LiDARs as they are, and visible."""
     update()
     for lidar, layer, shown in _looked_at():
-        if (cloud := _write(lidar, shown)) is not None:
-            with suppress(RuntimeError):
-                cloud.hide_set(False, view_layer=layer)
+        _hide(_write(lidar, shown), layer, hidden=False)
 
 
 @persistent
@@ -475,13 +492,13 @@ def on_change(block: bpy.types.ID, table: str) -> None:
         on_history()
     elif table == "live" or bpy.app.background:
         update()  # at once, so that the step of undo has the cloud as it is to be
-    cloud = cloud_of(block) if table in ("look", "style") else None
-    if table == "style":
-        if cloud is not None:
-            set_style(cloud, block.blender_lidar.style)
-        block.blender_lidar.colour_by = STYLES[block.blender_lidar.style][0]
+    group, cloud = block.blender_lidar, cloud_of(block) if table in ("look", "style") else None
+    if cloud is not None and table == "style":
+        set_style(cloud, group.style)
     elif cloud is not None:
-        set_look(cloud, {"Color By": block.blender_lidar.colour_by})
+        set_look(cloud, {"Color By": group.colour_by})
+    if table == "style":
+        group.colour_by = STYLES[group.style][0]
     _soon()
 
 
@@ -515,8 +532,8 @@ def register() -> None:
 def unregister() -> None:
     """Listen and draw no more; the clouds are shown as they were seen last."""
     properties.ON_CHANGE.remove(on_change)
-    while _state.shown:
-        properties.guarded(_end)(*_state.shown.popitem())
+    for key in list(_state.shown):
+        properties.guarded(_end)(key)
     on_load()
     if bpy.app.timers.is_registered(update):
         bpy.app.timers.unregister(update)

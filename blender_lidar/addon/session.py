@@ -649,8 +649,7 @@ def bodies_shown(scene: bpy.types.Scene, *, again: bool = False) -> dict[str, Ow
     InputError
         For a collection that is no body.
     """
-    group, key = scene.blender_lidar.vehicles, uid_of(scene)
-    chosen = {kind: of for kind in FLEET_KINDS if (of := getattr(group, kind)) is not None}
+    chosen, key = chosen_bodies(scene), uid_of(scene)
     uids, before = {kind: uid_of(of) for kind, of in chosen.items()}, _BODIES.get(key)
     if before is None or again or before[0] != uids:
         found = {kind: body_of(of, properties.where("vehicles", kind)) for kind, of in chosen.items()}
@@ -661,6 +660,12 @@ def bodies_shown(scene: bpy.types.Scene, *, again: bool = False) -> dict[str, Ow
         if before and before[2] is not own:
             show_traffic(scene, again=True)
     return _BODIES[key][1]
+
+
+def chosen_bodies(scene: bpy.types.Scene) -> dict[str, bpy.types.Collection]:
+    """The collections that stand for vehicles, by kind."""
+    group = scene.blender_lidar.vehicles
+    return {kind: of for kind in FLEET_KINDS if (of := getattr(group, kind)) is not None}
 
 
 def own_bodies(scene: bpy.types.Scene, *, again: bool = False) -> OwnBodies | None:

@@ -39,8 +39,8 @@ class VisibleObjects:
     """Visible objects of the user's, as a live preview meets them: rays are taken to each mesh's space.
 
     It stands in for `casting.protocol.StandingScenery` where clouds are looked at live (`clouds.live`). What was seen
-    is kept until it is told of a change: handlers of `depsgraph_update_post` and `frame_change_post` give `heed` their
-    `depsgraph.updates`, and those of undo, other files and other labels call `forget`.
+    is kept until it is told of a change: handlers of `depsgraph_update_post` and `frame_change_post` give
+    `note_updates` their `depsgraph.updates`, and those of undo, other files and other labels call `forget`.
     """
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class VisibleObjects:
         self.state = 0  # rises whenever other meshes stand there, or elsewhere, than were seen before
         self._place([], np.empty((0, 3, 3)), np.empty((0, 3)), {})
 
-    def heed(self, updates: Iterable[bpy.types.DepsgraphUpdate]) -> None:
+    def note_updates(self, updates: Iterable[bpy.types.DepsgraphUpdate]) -> None:
         """Take note of what Blender has evaluated again: the scene, where anything was hidden, added or removed."""
         changed = []
         for update in updates:
@@ -89,13 +89,13 @@ class VisibleObjects:
                 by_face[id(mesh)] = np.full(len(mesh.surface), NO_LABEL, np.int32) if of is None else of
             return meshes[key], labels.of(item)
 
-        before = self._what
+        before = self._table
         taken, turn, move = visible_instances(scene, depsgraph, scanned(scene, depsgraph.view_layer), take)
         self._meshes = meshes
         solid = np.abs(np.linalg.det(turn)) > 0.0
         rows = [row for row, (mesh, _) in enumerate(taken) if solid[row] and len(mesh.surface)]
         self._place([taken[row] for row in rows], turn[rows], move[rows], by_face)
-        self.state += not all(map(np.array_equal, before, self._what))
+        self.state += not all(map(np.array_equal, before, self._table))
 
     def _place(self, taken, turn, move, by_face) -> None:
         """Keep a table of instances: the mesh and label of each, what takes points to it and back, its sphere."""
@@ -114,7 +114,7 @@ class VisibleObjects:
         self._across = half[self._mesh] @ turn  # from the centre to corners, no two of them opposite
         self._centre = np.einsum("ni,nij->nj", self._box.mean(axis=1)[self._mesh], turn) + move
         self._radius = np.sqrt(np.square(self._across).sum(axis=2).max(axis=1, initial=0.0))
-        self._what = list(used), self._mesh, turn, move, self._label, self._of_face  # as others see it
+        self._table = list(used), self._mesh, turn, move, self._label, self._of_face  # as others see it
 
     def met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
         """As `StandingScenery.met`, in chunks of instances from near to far, without rays that have met something."""
