@@ -206,6 +206,19 @@ def check_coverage_is_what_brute_force_finds_of_each_and_of_all_on_a_parent_that
     assert lines[0] == "lidar,points,cells,share"
     assert lines[-1].split(",")[:3] == ["All", str(both), str(cells)]
     one = lidars(scene)[0]
+    collection, before = bpy.data.collections.new("Boxes"), cube.users_collection[0]
+    collection.objects.link(cube)
+    before.objects.unlink(cube)
+    for place in (0.0, 50.0):
+        copy = bpy.data.objects.new("Copy", None)
+        copy.instance_type, copy.instance_collection, copy.location.z = "COLLECTION", collection, place
+        scene.collection.objects.link(copy)
+        choose(copy)
+        assert bpy.ops.blender_lidar.coverage(edge_m=0.25) == {"FINISHED"}
+        again = json.loads(scene.blender_lidar.covered)
+        assert again["rows"] == told["rows"] if place == 0.0 else again["rows"][-1][1] == 0
+        bpy.data.objects.remove(copy)
+    before.objects.link(cube)
     choose(one)
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     hit = {tuple(cell) for cell in np.floor(vertices(cloud_of(one)) / 0.25 + 0.01).astype(int).tolist()}

@@ -40,7 +40,7 @@ def cars_file():
 def assert_shown_as_scanned(scene, own):
     """The triangles of vehicles that Blender shows are those that the LiDAR meets."""
     traffic, vehicles = traffic_object(scene), session.vehicles_of(scene)
-    found = visible_triangles(scene, lambda item: item != traffic and item.original != traffic)
+    found = visible_triangles(scene, lambda item, _: item != traffic and item.original != traffic)
     low, high = found.corners.min(axis=(0, 1)), found.corners.max(axis=(0, 1))
     half = 0.5 * vehicles.size_m
     np.testing.assert_allclose(low, (vehicles.centre_m - half).min(axis=0), atol=1e-3)

@@ -71,7 +71,7 @@ def save(path):
 @pytest.mark.parametrize("detail", DETAILS)
 def test_what_goes_out_and_comes_back_in_is_hit_the_same(scene, detail):
     build_scene(scene, moment(detail=detail))
-    back = visible_triangles(scene, lambda item: item.name in ("Surface", "Verge"))
+    back = visible_triangles(scene, lambda item, _: item.name in ("Surface", "Verge"))
     vehicles = vehicle_triangles(TRAFFIC, detail)
     owner = np.concatenate([vehicles.owner, np.full(len(SCENERY), len(TRAFFIC))])
     sent = hits(np.concatenate([vehicles.corners, SCENERY.corners]), owner)

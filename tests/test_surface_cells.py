@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -64,6 +66,17 @@ def test_the_union_is_at_least_each_and_at_most_their_sum():
     seen = [cells_with_points(cells, np.c_[rng.uniform(0, 2, (50, 2)), np.full(50, 0.05)], 0.1) for _ in range(3)]
     together = np.any(seen, axis=0).sum()
     assert max(map(np.sum, seen)) <= together <= sum(map(np.sum, seen))
+
+
+def test_large_triangles_take_little_memory_and_have_the_cells_of_many_small_ones():
+    tracemalloc.start()
+    whole = surface_cells(quad(0.0, 12.0), 0.1)
+    assert tracemalloc.get_traced_memory()[1] < 40e6
+    tracemalloc.stop()
+    parts = [quad((x, y), 1.0) for x in range(12) for y in range(12)]
+    assert set(surface_cells(np.concatenate(parts), 0.1)) == set(whole)
+    with pytest.raises(InputError, match="too many"):
+        surface_cells(quad(0.0, 60.0), 0.1)
 
 
 def test_edges_that_cannot_be_are_refused():

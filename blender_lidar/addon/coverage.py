@@ -32,23 +32,29 @@ class BLENDER_LIDAR_OT_coverage(operators.NeedsLidar, bpy.types.Operator):
         scene, layer = context.scene, context.view_layer
         chosen = {item for item in context.selected_objects if is_own(item)}
         wanted, edge_m = scanned(scene, layer), properties.exact(self.edge_m)
-        mine = visible_triangles(scene, lambda item: item.original not in chosen, layer=layer)
+
+        def is_chosen(item, by):
+            return item.original in chosen or by.original in chosen
+
+        mine = visible_triangles(scene, lambda *of: not is_chosen(*of), layer=layer)
         if not len(mine):
             raise InputError("no object with faces is selected and visible; allowed: objects of your own")
-        rest = visible_triangles(scene, lambda item: item.original in chosen or not wanted(item), layer=layer)
+        rest = visible_triangles(scene, lambda *of: is_chosen(*of) or not wanted(*of), layer=layer)
         mine.label[:] = 0
         cells, found = surface_cells(mine.corners, edge_m), session.lidars_of(scene)
         caster, manager = resolve(scene.blender_lidar.model.caster, "caster"), context.window_manager
         standing = [StandingScenery(part, caster) for part in (mine, rest) if len(part)]
         seen, points = np.zeros((len(found) + 1, len(cells)), bool), []
         manager.progress_begin(0, len(found))
-        for number, lidar in enumerate(found):
-            frame, pose = session.live_frame(scene, lidar, exact=True), properties.mounting_of(lidar).pose
-            cloud = frame.look(pose, standing).cloud
-            points.append(int((cloud.label == 0).sum()))
-            seen[number] = cells_with_points(cells, cloud.xyz[cloud.label == 0], edge_m)
-            manager.progress_update(number)
-        manager.progress_end()
+        try:
+            for number, lidar in enumerate(found):
+                frame, pose = session.live_frame(scene, lidar, exact=True), properties.mounting_of(lidar).pose
+                cloud = frame.look(pose, standing).cloud
+                points.append(int((cloud.label == 0).sum()))
+                seen[number] = cells_with_points(cells, cloud.xyz[cloud.label == 0], edge_m)
+                manager.progress_update(number)
+        finally:
+            manager.progress_end()
         seen[-1] = seen.any(axis=0)
         names, counts = [*(lidar.name for lidar in found), "All"], seen.sum(axis=1).tolist()
         shares = seen.mean(axis=1).round(4).tolist()

@@ -7,7 +7,8 @@ import numpy as np
 from ..errors import InputError
 
 _PER_CELL = 8  # samples of a surface along the edge of a cell
-_MOST_SAMPLES = 50_000_000
+_MOST_SAMPLES = 5_000_000
+_AT_A_TIME = 1 << 16  # samples
 _BITS = 21  # of a cell's number along an axis
 _FIRST = 0.01  # of an edge below 0 the grid begins: where round numbers lie rounding may not tell sides of a border
 
@@ -30,9 +31,11 @@ def surface_cells(corners: np.ndarray, edge_m: float) -> np.ndarray:
         raise InputError(f"cells of an edge of {edge_m:g} m are too many for such surfaces; allowed: a longer edge")
     found = [np.empty(0, np.int64)]
     for count in np.unique(steps).astype(int).tolist():
-        i, j = np.indices((count + 1, count + 1)).reshape(2, -1)
-        weights = np.stack([i, j, count - i - j], axis=1)[i + j <= count] / count
-        found += [np.unique(_numbers(weights @ triangle, edge_m)) for triangle in corners[steps == count]]
+        rows = max(_AT_A_TIME // (count + 1), 1)
+        for first in range(0, count + 1, rows):
+            i, j = np.mgrid[first : min(first + rows, count + 1), : count + 1 - first].reshape(2, -1)
+            weights = np.stack([i, j, count - i - j], axis=1)[i + j <= count] / count
+            found += [np.unique(_numbers(weights @ triangle, edge_m)) for triangle in corners[steps == count]]
     return np.unique(np.concatenate(found))
 
 

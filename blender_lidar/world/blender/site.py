@@ -69,7 +69,7 @@ Taken = TypeVar("Taken")
 
 def visible_triangles(
     scene: bpy.types.Scene,
-    skip: Callable[[bpy.types.Object], bool] = lambda item: False,
+    skip: Callable[..., bool] = lambda item, by: False,
     keep: Keep = lambda box: True,
     layer: bpy.types.ViewLayer | None = None,
     labels: Labels | None = None,
@@ -85,7 +85,7 @@ def visible_triangles(
     scene : Scene
         In its current frame; its unit scale is applied.
     skip : callable, optional
-        Called with each object; those for which it is true are left out too.
+        Called with each object, and what instances it or itself; those for which it is true are left out too.
     keep : callable, optional
         Called with the eight corners (8, 3) [m] of each object's and instance's bounding box, in that frame;
         where it is false that one is left out. A forest may have far more triangles than stand within reach.
@@ -116,7 +116,7 @@ def visible_triangles(
             meshes[key] = *arrays, labels.of_faces(item.data, item.data.loop_triangles) if labels else None
         return item.name, labels.of(item) if labels else NO_LABEL, *meshes[key]
 
-    found = visible_instances(scene, layer.depsgraph, lambda item: not skip(item), take)
+    found = visible_instances(scene, layer.depsgraph, lambda *of: not skip(*of), take)
     for (name, number, vertices, faces, surface, box, by_face), turn, move in zip(*found, strict=True):
         if len(faces) == 0 or not keep(box @ turn + move):
             continue
@@ -138,27 +138,27 @@ def open_scenery(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Scenery:
         If a vertex is not finite, or the road frame is tilted or scaled.
     """
     wanted = scanned(scene, layer)
-    found = visible_triangles(scene, lambda item: not wanted(item), layer=layer, labels=Labels(scene))
+    found = visible_triangles(scene, lambda *of: not wanted(*of), layer=layer, labels=Labels(scene))
     if not np.isfinite(found.corners).all():
         row = int(np.flatnonzero(~np.isfinite(found.corners).all(axis=(1, 2)))[0])
         raise InputError(f"{found.names[found.owner[row]]!r}: has a vertex that is not finite")
     return found
 
 
-def is_own(item: bpy.types.Object) -> bool:
+def is_own(item: bpy.types.Object, *_) -> bool:
     """Whether an object is the user's: what we show of a scene, its scenery too, its settings say already."""
     return role(item) is None
 
 
-def scanned(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Callable[[bpy.types.Object], bool]:
+def scanned(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Callable[..., bool]:
     """Which objects are scanned as they are shown: the user's, and of a ground that is hidden in part what is left."""
-    return is_own if not hidden_ground(scene, layer) else lambda item: role(item) in (None, ROAD_ROLE)
+    return is_own if not hidden_ground(scene, layer) else lambda item, *_: role(item) in (None, ROAD_ROLE)
 
 
 def visible_instances(
     scene: bpy.types.Scene,
     depsgraph: bpy.types.Depsgraph,
-    wanted: Callable[[bpy.types.Object], bool],
+    wanted: Callable[..., bool],
     take: Callable[[bpy.types.Object], Taken],
 ) -> tuple[list[Taken], np.ndarray, np.ndarray]:
     """What `visible_triangles` takes of an evaluated scene, by instance.
@@ -167,7 +167,8 @@ def visible_instances(
     and what takes its points, as rows, into the road frame: ``points @ turn + move`` [m], (n, 3, 3) and (n, 3). Objects
     and meshes that an instancer repeats are asked about once: a forest has 100,000 instances.
     """
-    rendered, unit_m = set(_rendered_objects(scene.collection)), scene.unit_settings.scale_length
+    rendered = {item for shown in rendered_collections(scene.collection) for item in shown.objects}
+    unit_m = scene.unit_settings.scale_length
     into = to_road(scene, depsgraph)
     known, taken, numbers = {}, [], []
     for instance in depsgraph.object_instances:
@@ -178,7 +179,7 @@ def visible_instances(
         key = (item.original, item.data.as_pointer(), by) if by else None
         if key is None or key not in known:
             ours = by if by and role(by) == VEHICLE else item  # a vehicle may be made of own objects
-            seen = role(item) not in DISPLAY_ONLY and wanted(ours) and _is_seen(instance, rendered)
+            seen = role(item) not in DISPLAY_ONLY and wanted(ours, by or item) and _is_seen(instance, rendered)
             known[key] = take(item) if seen else None
         if known[key] is not None:
             taken.append(known[key])
@@ -186,12 +187,6 @@ def visible_instances(
                 numbers.extend(row)
     matrix = into @ np.array(numbers, dtype=float).reshape(-1, 4, 4)
     return taken, unit_m * matrix[:, :3, :3].swapaxes(1, 2), unit_m * matrix[:, :3, 3]
-
-
-def _rendered_objects(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
-    """The objects in a collection and those below it, except for collections that renders hide."""
-    for one in rendered_collections(collection):
-        yield from one.objects
 
 
 def _is_seen(instance: bpy.types.DepsgraphObjectInstance, rendered: set[bpy.types.Object]) -> bool:
@@ -345,7 +340,7 @@ def read_site(path: str | Path, keep: Keep | None = None) -> Scenery:
     if suffix == ".blend":
         check_version(path)
     with quiet(), _linked_scene(path) if suffix == ".blend" else _imported_scene(path) as scene:
-        found = visible_triangles(scene, lambda item: role(item) in _NOT_SCENERY, keep or (lambda box: True))
+        found = visible_triangles(scene, lambda item, _: role(item) in _NOT_SCENERY, keep or (lambda box: True))
     if len(found) == 0 and keep is None:
         raise InputError(f"{path}: nothing with faces is visible in it")
     if not np.isfinite(found.corners).all():
