@@ -198,7 +198,7 @@ def test_what_cannot_be_baked_is_one_line(scene):
         bpy.ops.blender_lidar.bake()
 
 
-def test_a_moved_lidar_or_another_sensor_is_told_until_it_is_baked_again(scene):
+def test_a_moved_lidar_or_other_settings_are_told_until_it_is_baked_again(scene):
     lidar = lidars(scene)[0]
     assert not baking.is_changed(lidar)
     bake(scene)
@@ -208,6 +208,10 @@ def test_a_moved_lidar_or_another_sensor_is_told_until_it_is_baked_again(scene):
     bake(scene)
     assert not baking.is_changed(lidar)
     lidar.blender_lidar.range_gate_m -= 3.0
+    assert baking.is_changed(lidar)
+    bake(scene)
+    assert not baking.is_changed(lidar)
+    scene.blender_lidar.world.detail = "box"
     assert baking.is_changed(lidar)
 
 

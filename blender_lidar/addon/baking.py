@@ -23,15 +23,13 @@ from ..errors import BlenderLidarError, InputError, one_line
 from ..files import make_folder, source_digest
 from ..scene.site import lattice_of
 from ..sensors.pose import Pose
-from ..world.blender.objects import pose_of
 from ..world.blender.points import cloud_of, show_cloud
 from ..world.scenery import NO_LABEL
 from . import live, operators, panels, properties, session
 
 _EVERY_S = 0.01  # between two clouds, in which Blender redraws
 _OF_CLOUDS = ("sensor", "world", "road", "model", "objective")  # tables of a scene that its clouds depend on
-_MADE_OF, _FIELDS, _POINTS, _BITS = "made_of", "fields", "points", "entropy_bits"  # in headers
-_SAME = 1e-3  # [m, degrees]
+_MADE_OF, _SETTINGS, _POINTS, _BITS = "made_of", "settings", "points", "entropy_bits"  # in headers
 
 _work: dict[str, int] = {}  # of the bake at work: clouds `done` and in `total`; empty when there is none
 _shown: dict[str, dict] = {}  # by LiDAR: the header of the file that its cloud shows
@@ -107,7 +105,9 @@ def _bake(scene, lidar, again) -> bool:
     scenario, mounting, vehicles = operators.checked_mount(scene, lidar)
     objects, tables = session.exact_objects(scene, session.view_layer_of(scene), scenario), scenario.as_tables()
     layout = session.layout_of(scene, lidar) if scenario.world.clutter else [lidar]  # which is kept clear of all
-    of = [source_digest(), *map(tables.get, _OF_CLOUDS), scenario.lidar_name, *map(properties.mounting_of, layout)]
+    settings = session.settings_digest(lidar)
+    of = [source_digest(), settings, *map(tables.get, _OF_CLOUDS), scenario.lidar_name]
+    of += map(properties.mounting_of, layout)
     of += map(session.stamp, scenario.files.values())
     for one in (objects[0].scenery,) if objects else ():
         of += [one.digest, one.labels, hashlib.sha256(np.ascontiguousarray(one.label)).digest()]
@@ -122,7 +122,7 @@ def _bake(scene, lidar, again) -> bool:
     cloud, caster = frame.look(mounting.pose, objects).cloud, frame.observation.caster
     bits = entropy_of_vehicles(cloud, vehicles, scenario.objective)
     sensor = MountedSensor(scenario, mounting, lattice_of(scenario.sensor), caster, next(iter(objects), None))
-    made_of = {_MADE_OF: digest, _FIELDS: session.sensor_table(lidar), _POINTS: len(cloud)}
+    made_of = {_MADE_OF: digest, _SETTINGS: settings, _POINTS: len(cloud)}
     seen = np.intersect1d(cloud.vehicle_id, vehicles.vehicle_id, return_indices=True)
     header = sensor.cloud_header(vehicles) | made_of
     header[_BITS] = [-1, *seen[0].tolist()], [0.0, *bits[seen[2]].round(4).tolist()]
@@ -173,16 +173,9 @@ def on_load(*_) -> None:
 
 
 def is_changed(lidar: bpy.types.Object) -> bool:
-    """Whether a LiDAR hangs elsewhere than in the bake of the frame that is shown, or has another sensor."""
+    """Whether a LiDAR hangs elsewhere than in the bake of the frame that is shown, or was baked with other settings."""
     header = _shown.get(session.uid_of(lidar))
-    if not header:
-        return False
-    try:
-        pose = pose_of(lidar).as_table()
-    except BlenderLidarError:  # mirrored, which the tab says
-        return True
-    moved = any(abs(pose[key] - value) > _SAME for key, value in header["pose"].items())
-    return moved or json.loads(json.dumps(session.sensor_table(lidar))) != header.get(_FIELDS)
+    return bool(header) and panels.is_other(lidar, header["pose"].values(), header.get(_SETTINGS))
 
 
 class BLENDER_LIDAR_OT_bake(operators.NeedsLidar, bpy.types.Operator):

@@ -3,6 +3,7 @@
 import json
 import math
 import textwrap
+from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
@@ -212,13 +213,18 @@ class BLENDER_LIDAR_PT_scan(OfLidar, bpy.types.Panel):
 def is_stale(scene: bpy.types.Scene, lidar: bpy.types.Object) -> bool:
     """Whether the LiDAR, the time or the settings are other than when it was scanned; own objects are not looked at."""
     group = lidar.blender_lidar
+    moved = abs(group.scanned_s - session.since_of(scene)) > SAME_S
+    return moved or is_other(lidar, group.scanned_at, group.scanned_with)
+
+
+def is_other(lidar: bpy.types.Object, pose: Iterable[float], settings: str) -> bool:
+    """Whether a LiDAR hangs elsewhere than at a `pose` [m, degrees], or what it is scanned with has another digest."""
     try:
-        pose = pose_of(lidar).as_table().values()
-    except BlenderLidarError:
+        now = pose_of(lidar).as_table().values()
+    except BlenderLidarError:  # mirrored, which the tab says
         return True
-    moved = any(abs(a - b) > 1e-3 for a, b in zip(pose, group.scanned_at, strict=True))
-    moved |= abs(group.scanned_s - session.since_of(scene)) > SAME_S
-    return moved or group.scanned_with != session.settings_digest(lidar)
+    moved = any(abs(one - other) > 1e-3 for one, other in zip(now, pose, strict=True))
+    return moved or settings != session.settings_digest(lidar)
 
 
 def worth_lines(now: tuple[float, float], base: tuple[float, float], vehicles: int) -> list[str]:
