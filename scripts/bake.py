@@ -65,12 +65,14 @@ def main(words):
 def bake(args, baking, progress, errors, stops):
     """Bake the open file."""
     scene = bpy.context.scene
-    group = scene.blender_lidar
     if args.step < 1:
         raise errors.InputError(f"--step: is {args.step}; allowed: at least 1")
-    own = tuple(group.bake_frames) if group.bake_own else (scene.frame_start, scene.frame_end)
-    group.bake_frames = [of if given is None else given for given, of in zip((args.start, args.end), own, strict=True)]
-    group.bake_own, group.bake_step, group.bake_format = True, args.step, f".{args.format}"
+    own = scene.frame_start, scene.frame_end
+    first, last = (of if given is None else given for given, of in zip((args.start, args.end), own, strict=True))
+    if first > last:
+        raise errors.InputError(f"frames {first} to {last}; allowed: a first one that is not after the last")
+    scene.use_preview_range, scene.frame_preview_start, scene.frame_preview_end = True, first, last
+    scene.frame_step, scene.blender_lidar.bake_format = args.step, f".{args.format}"
     steps = baking.steps(scene)
     shown = progress.Progress(int(next(steps).split()[0]), "bake")
     line = ""
@@ -80,7 +82,7 @@ def bake(args, baking, progress, errors, stops):
         if line is not None:
             shown.advance(1, line)
     shown.close()
-    print(f"{Path(bpy.data.filepath).stem}_bake: frames {group.bake_frames[0]} to {group.bake_frames[1]}")
+    print(f"{Path(bpy.data.filepath).stem}_bake: frames {first} to {last}")
 
 
 if __name__ == "__main__":

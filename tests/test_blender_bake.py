@@ -136,8 +136,8 @@ def test_only_frames_that_are_gone_or_of_other_settings_are_baked_again(scene):
     bpy.data.objects["Wall"].scale.z = 2.0
     assert not {*after.items()} & {*bake(scene).items()}
     before = bake(scene)
-    scene.blender_lidar.bake_own, scene.blender_lidar.bake_frames = True, (3, 9)
-    scene.blender_lidar.bake_step = 3
+    scene.use_preview_range, scene.frame_preview_start, scene.frame_preview_end = True, 3, 9
+    scene.frame_step = 3
     assert set(bake(scene)) - set(before) == {
         baking.files_of(one)[number] for one in (first, second) for number in (6, 9)
     }
@@ -189,8 +189,8 @@ def test_own_bodies_are_read_once_a_frame(scene, monkeypatch):
 
 
 def test_what_cannot_be_baked_is_one_line(scene):
-    scene.blender_lidar.bake_own, scene.blender_lidar.bake_frames = True, (9, 3)
-    with pytest.raises(RuntimeError, match=r"Error: Bake: LiDARs LiDAR, LiDAR.001, frames 9 to 3; allowed"):
+    lidars(scene)[1].name = "lidar"
+    with pytest.raises(RuntimeError, match=r"Error: Bake: LiDARs LiDAR, lidar; allowed"):
         bpy.ops.blender_lidar.bake()
     bpy.ops.wm.read_homefile(use_empty=True)
     assert bpy.ops.blender_lidar.add() == {"FINISHED"}
@@ -307,6 +307,7 @@ def test_the_script_bakes_what_the_window_bakes_and_goes_on_from_there(scene, tm
     after = bake(scene)
     assert {path: after[path] for path in before} == before
     assert len(after) == 8
+    assert run("street.blend", "--start", 9, folder=tmp_path)[0] == 2
     assert run("none.blend", folder=tmp_path) == (2, ["blender-lidar: none.blend: there is no such file"])
 
 

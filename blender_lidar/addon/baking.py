@@ -48,9 +48,9 @@ def files_of(lidar: bpy.types.Object) -> dict[int, Path]:
 
 
 def steps(scene: bpy.types.Scene) -> Iterator[str]:
-    """Bake the LiDARs of a scene over the frames that its settings say; yields a line at first and for each cloud.
+    """Bake the LiDARs of a scene over the frames that it plays, by its frame step; yields a line for each cloud.
 
-    LiDARs that renders hide are left out.
+    A first line says how many there are. LiDARs that renders hide are left out.
 
     At the end, however it comes, the scene is at the frame that it was at.
 
@@ -59,15 +59,16 @@ def steps(scene: bpy.types.Scene) -> Iterator[str]:
     BlenderLidarError
         For a file that was never saved, no LiDAR, no frame, and where Scan refuses, with the frame.
     """
-    group, before, uid = scene.blender_lidar, scene.frame_current_final, session.uid_of(scene)
+    before, uid = scene.frame_current_final, session.uid_of(scene)
     hung = [one for one in session.lidars_of(scene) if not one.hide_render]
-    first, last = group.bake_frames if group.bake_own else (scene.frame_start, scene.frame_end)
-    frames, folders = range(first, last + 1, group.bake_step), {str(folder_of(one)).casefold() for one in hung}
+    preview = "preview_" if scene.use_preview_range else ""
+    first, last = (getattr(scene, f"frame_{preview}{end}") for end in ("start", "end"))
+    frames, folders = range(first, last + 1, scene.frame_step), {str(folder_of(one)).casefold() for one in hung}
     if _work or not bpy.data.filepath:
         raise InputError("a bake is at work" if _work else "the bake lies beside the .blend file; save it first")
-    if len(folders) < max(len(hung), 1) or not frames:
+    if len(folders) < max(len(hung), 1):
         names = ", ".join(one.name for one in hung)
-        raise InputError(f"Bake: LiDARs {names}, frames {first} to {last}; allowed: some, of names that make folders")
+        raise InputError(f"Bake: LiDARs {names}; allowed: some, of names that make folders")
     if scene.library is None:
         scene.render.use_lock_interface = True  # a window that draws while a render changes meshes may crash
     keys, at = [(frame, session.uid_of(one)) for frame in frames for one in hung], None
@@ -164,14 +165,6 @@ def on_frame(scene, depsgraph=None, *_) -> None:
         show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style, depsgraph)
 
 
-@persistent
-@properties.guarded
-def on_load(*_) -> None:
-    """Show what was baked of a file that was opened."""
-    for scene in bpy.data.scenes:
-        on_frame(scene)
-
-
 def is_changed(lidar: bpy.types.Object) -> bool:
     """Whether a LiDAR hangs elsewhere than in the bake of the frame that is shown, or was baked with other settings."""
     header = _shown.get(session.uid_of(lidar))
@@ -256,8 +249,8 @@ class BLENDER_LIDAR_PT_bake(panels.OfLidar, bpy.types.Panel):
             panels.say(layout, f"{_work['done']} of {_work['total']} clouds")
             layout.operator("blender_lidar.bake", text="Cancel", icon="X", translate=False)
             return
-        group, frames = scene.blender_lidar, files_of(lidar)
-        panels.rows(layout, group, "bake_own", *(["bake_frames"] if group.bake_own else []), "bake_step", "bake_format")
+        frames = files_of(lidar)
+        panels.rows(layout, scene.blender_lidar, "bake_format")
         layout.operator("blender_lidar.bake", icon="RENDER_ANIMATION", translate=False)
         if frames:
             panels.say(layout, f"Baked frames {min(frames)} to {max(frames)}", icon="FILE_TICK")
@@ -267,4 +260,4 @@ class BLENDER_LIDAR_PT_bake(panels.OfLidar, bpy.types.Panel):
 
 
 classes = (BLENDER_LIDAR_OT_bake, BLENDER_LIDAR_OT_free_bake, BLENDER_LIDAR_PT_bake)
-app_handlers = {"frame_change_post": on_frame, "load_post": on_load}
+app_handlers = {"frame_change_post": on_frame, "load_post": persistent(lambda *_: [*map(on_frame, bpy.data.scenes)])}

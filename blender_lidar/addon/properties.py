@@ -21,7 +21,6 @@ from bpy.props import (
     FloatProperty,
     FloatVectorProperty,
     IntProperty,
-    IntVectorProperty,
     PointerProperty,
     StringProperty,
 )
@@ -361,9 +360,6 @@ class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):
     lidars: CollectionProperty(type=BLENDER_LIDAR_PG_pointer, options={"HIDDEN"})
     row: IntProperty(get=_chosen_row, set=_choose_row, options={"HIDDEN"}, description="The active one among them")
     fused: StringProperty(options={"HIDDEN"}, description="What the layout is worth on the frame scanned last, as JSON")
-    bake_own: BoolProperty(name="Own Range", description="Bake other frames than those that the scene renders")
-    bake_frames: IntVectorProperty(name="Frames", size=2, default=(1, 250), description="First and last frame to bake")
-    bake_step: IntProperty(name="Step", default=1, min=1, description="From one frame that is baked to the next")
     bake_format: EnumProperty(
         name="Format", items=[(".ply", "PLY", ""), (".pcd", "PCD", "")], description="Of its files"
     )
