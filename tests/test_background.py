@@ -34,7 +34,7 @@ def begin(tmp_path):
         scenario = replace(load_scenario(scene), where=None)
         labels = {("baseline", "x_m, y_m"): "LiDAR panel: Baseline"}
         order, message, run = tmp_path / "order", tmp_path / "message", tmp_path / "run"
-        order.write_bytes(pickle.dumps({"scenario": scenario, "labels": labels, "scenery": scenery}))
+        order.write_bytes(pickle.dumps({"scenario": scenario, "labels": labels, "scenery": scenery, "bodies": None}))
         code = "import sys; sys.modules['matplotlib'] = None  # charts take longer than all else\n"
         code += (
             f"from blender_lidar.commands.background import main; raise SystemExit(main({str(order)!r}, {str(run)!r}))"
