@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -173,6 +174,18 @@ def test_a_bake_that_undo_has_overtaken_is_cancelled_and_restores_the_frame(scen
     bpy.ops.ed.undo()
     steps.close()
     assert bpy.context.scene.frame_current == 2
+
+
+def test_whatever_goes_wrong_in_a_window_is_one_line_and_ends_the_timer(scene):
+    def failing():
+        yield 1 / 0
+
+    told, ended = [], []
+    window = SimpleNamespace(
+        _steps=failing(), report=lambda kind, text: told.append(text), cancel=lambda _: ended.append(1)
+    )
+    end = baking.BLENDER_LIDAR_OT_bake.modal(window, bpy.context, SimpleNamespace(type="TIMER"))
+    assert (end, told, ended) == ({"FINISHED"}, ["division by zero"], [1])
 
 
 def test_own_bodies_are_read_once_a_frame(scene, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +31,11 @@ FACES = np.array([(0, 1, 2), (0, 2, 3)])
 def scene():
     yield empty_scene()
     empty_scene()
+
+
+def labels_by(by):
+    """As of a scene that says so."""
+    return Labels(SimpleNamespace(blender_lidar=SimpleNamespace(label_by=by)))
 
 
 def material(name, **inputs):
@@ -105,7 +111,7 @@ def test_labels_come_from_object_collection_pass_index_or_material(scene):
     }
     assert expected.keys() == LABELS_BY.keys()
     for by, names in expected.items():
-        found = visible_triangles(scene, labels=Labels(scene, by))
+        found = visible_triangles(scene, labels=labels_by(by))
         for row, name in enumerate(found.names):
             label = found.label[found.owner == row].tolist()
             assert [found.labels.get(number) for number in label] == names[name], (by, name)
@@ -173,7 +179,7 @@ def test_linked_libraries_and_geometry_nodes_are_labelled_by_what_they_show(scen
     group.links.new(placed.outputs["Instances"], out.inputs[0])
     meadow.modifiers.new("Streu", "NODES").node_group = group
     for by, name in (("object", "Krone"), ("collection", "Baum"), ("pass_index", "5"), ("material", "Laub")):
-        found = visible_triangles(scene, labels=Labels(scene, by))
+        found = visible_triangles(scene, labels=labels_by(by))
         assert set(found.labels.values()) == {name}, by
         assert (found.label >= 0).all()
         assert len(found.names) == 10  # one of the library, nine of the nodes

@@ -257,15 +257,14 @@ LABELS_BY = {"object": "objects", "collection": "collections", "pass_index": "ob
 
 
 class Labels:
-    """Labels (semantic classes) of the user's own objects: numbers with names, `by` one of `LABELS_BY` or as the scene
-    says.
+    """Labels (semantic classes) of the user's own objects: numbers with names, by one of `LABELS_BY`, as a scene says.
 
     Names are numbered in alphabetical order over all that the file has, so that a number stays when others are hidden;
     the pass index is its own number. Objects in several collections have the first, those in none but the scene's none.
     """
 
-    def __init__(self, scene: bpy.types.Scene, by: str = "") -> None:
-        self._by = by or getattr(getattr(scene, "blender_lidar", None), "label_by", "object")
+    def __init__(self, scene: bpy.types.Scene) -> None:
+        self._by = getattr(getattr(scene, "blender_lidar", None), "label_by", "object")
         blocks = [block for block in getattr(bpy.data, LABELS_BY[self._by]) if role(block) is None]
         self._names = sorted({block.name for block in blocks})
         self._number, self._within = {name: number for number, name in enumerate(self._names)}, {}
