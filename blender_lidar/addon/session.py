@@ -38,7 +38,7 @@ from ..traffic import Recording, Vehicles, joined_recordings
 from ..traffic.vehicles import FLEET_KINDS, SAME_S, no_vehicles
 from ..world.blender.bodies import OwnBody, body_of, kept_body
 from ..world.blender.objects import holds, is_lidar, is_shown
-from ..world.blender.road import ground_of, hidden_ground
+from ..world.blender.road import hidden_ground, road_collection
 from ..world.blender.site import open_scenery
 from ..world.blender.traffic import show_recording, starts_at, traffic_object
 from . import properties
@@ -72,7 +72,7 @@ def view_layer_of(scene: bpy.types.Scene) -> bpy.types.ViewLayer:
 
 def has_road(scene: bpy.types.Scene) -> bool:
     """Whether LiDARs hang beside a road: traffic is loaded, or a road stands there as in a file of `build`."""
-    return scene.blender_lidar.loaded or ground_of(scene) is not None
+    return scene.blender_lidar.loaded or road_collection(scene) is not None
 
 
 def active_lidar(scene: bpy.types.Scene) -> bpy.types.Object | None:
@@ -214,7 +214,7 @@ def layout_scenario(
     free = {"x_m": 0.0, "y_m": 0.0}  # without a road nothing is asked of where they hang
     entries = [deployment_table(one, held=one in held) if has_road(scene) else dict(free) for one in hung]
     named = any(one.blender_lidar.in_layout for one in hung)
-    if ground_of(scene) is None or hidden_ground(scene, view_layer_of(scene)):
+    if road_collection(scene) is None or hidden_ground(scene, view_layer_of(scene)):
         changes["world", "ground"] = False, "what the scene shows"
     baselines = [json.loads(one.blender_lidar.baseline or "{}") for one in hung]
     baselines = [{key: table[key] for key in MOUNTED if key in table} for table in baselines]

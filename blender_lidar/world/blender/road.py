@@ -59,7 +59,7 @@ def build_road(
     into[_PART] = ", ".join(name for name in parts if name != "Lane lines")
 
 
-def ground_of(scene: bpy.types.Scene) -> bpy.types.Collection | None:
+def road_collection(scene: bpy.types.Scene) -> bpy.types.Collection | None:
     """The collection of a scene's road where one has been built."""
     found = (one for one in scene.collection.children_recursive if role(one) == ROAD_ROLE and one.get(_PART))
     return next(found, None)
@@ -67,14 +67,14 @@ def ground_of(scene: bpy.types.Scene) -> bpy.types.Collection | None:
 
 def hidden_ground(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[str]:
     """The parts of a scene's ground, such as Surface and Verge, that a view layer or renders hide, or that are gone."""
-    into = ground_of(scene)
+    into = road_collection(scene)
     shown = {item.get(_PART) for item in into.objects if is_shown(scene, layer, item)} if into else set()
     return [name for name in into[_PART].split(", ") if name not in shown] if into else []
 
 
 def show_ground(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, *, shown: bool) -> None:
     """Hide a scene's ground with its markings in view and renders, or show it where all of it is hidden."""
-    into = ground_of(scene)
+    into = road_collection(scene)
     if into and not (shown and len(hidden_ground(scene, layer)) < len(into[_PART].split(", "))):
         for item in (one for one in into.objects if _PART in one):
             item.hide_viewport = item.hide_render = not shown

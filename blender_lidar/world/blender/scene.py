@@ -22,7 +22,7 @@ from ...signals import stops_end_at_once
 from ...traffic.boxes import DetectedBoxes
 from ...traffic.vehicles import Recording, Vehicles
 from ..scenery import Scenery
-from .bodies import OwnBody, body_of, kept_body
+from .bodies import body_of, kept_body
 from .detections import animate_detections, show_detections
 from .nodes import math_of, node, output, ramp_of
 from .objects import (
@@ -45,7 +45,7 @@ from .objects import (
 from .points import show_cloud
 from .quiet import first_error, quiet
 from .road import HAZE, build_road, middle_of
-from .traffic import has_no_more, show_recording, show_still
+from .traffic import show_recording, show_still
 
 # --- Cameras, light and viewports: a scene that looks right without touching a setting --------------------
 
@@ -173,7 +173,7 @@ def render_picture(
 
 
 def show_points_alone(scene: bpy.types.Scene, caption: str) -> None:
-    """Let pictures of a scene show its clouds on black, with all but the ground in dim light, and a caption."""
+    """Let pictures of a scene show its clouds on black, the rest in dim light without ground and fans, and a caption."""
     for item in scene.objects:
         item.visible_camera = role(item) not in (ROAD_ROLE, FAN)
         if item.type == "LIGHT":
@@ -279,11 +279,6 @@ class Moment:
     since_s: float = 0.0
     bodies: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
-    @property
-    def own_bodies(self) -> dict[str, OwnBody]:
-        """These, copied into this file."""
-        return {kind: body_of(kept_body(*place, place[0]), place[0]) for kind, place in self.bodies.items()}
-
 
 def empty_scene() -> bpy.types.Scene:
     """The one scene of a new file, with nothing in it; what Blender held before is gone."""
@@ -298,15 +293,22 @@ def empty_scene() -> bpy.types.Scene:
     return scene
 
 
-def build_scene(scene: bpy.types.Scene, moment: Moment) -> None:
-    """Build a moment in a scene, in place of one that was built there earlier; objects of others stay."""
+def build_scene(scene: bpy.types.Scene, moment: Moment, played: Recording | None = None) -> None:
+    """Build a moment in a scene, in place of one that was built there earlier; objects of others stay.
+
+    Its vehicles stand unless they drive through what is `played`, from the first frame of the animation on.
+    """
     each = moment, *moment.further
     middle, gate_m = np.mean([one.pose.position for one in each], axis=0), max(one.range_gate_m for one in each)
     away_m = float(max(np.abs(one.pose.position - middle).max() for one in each))
     reach_m = max(_LEAST_REACH_M, gate_m) + away_m
     build_road(scene, moment.road, middle[:2], _HORIZON_M if moment.road.endless else reach_m, _HORIZON_M)
     build_scenery(scene, moment.scenery)
-    show_still(scene, moment.vehicles, moment.detail, moment.own_bodies)
+    bodies = {kind: body_of(kept_body(*place, place[0]), place[0]) for kind, place in moment.bodies.items()}
+    if played is None:
+        show_still(scene, moment.vehicles, moment.detail, bodies)
+    else:
+        show_recording(scene, played, moment.detail, 0.0, 1.0 / scene.render.fps, bodies, alone=True)
     clear(collection(scene, "LiDAR", SENSOR))
     for number, one in enumerate(each):
         lidar = build_lidar(scene, one.lattice, one.pose, one.name)
@@ -345,11 +347,9 @@ def save_blend(path: str | Path, moment: Moment, played: Recording | None = None
     off = {fps: np.abs(since_s * fps - np.round(since_s * fps)).max() for fps in _FPS}
     scene.render.fps = next((fps for fps in _FPS if off[fps] < _WHOLE_FRAMES_S * fps), _FPS[0])
     scene.frame_set(1)
-    build_scene(scene, moment)
+    build_scene(scene, moment, played)
     if played is not None:
         scene.frame_start, scene.frame_end = 1, max(1, 1 + round(since_s[-1] * scene.render.fps))
-        show_recording(scene, played, moment.detail, 0.0, 1.0 / scene.render.fps, moment.own_bodies)
-        has_no_more(scene)
         animate_detections(scene, moment.detections, played.frames.tolist(), since_s.tolist())
     show_in_viewports(scene)
     files = bpy.context.preferences.filepaths

@@ -37,6 +37,7 @@ from .points import add_socket, numbers_of, set_look
 _NAME = "Vehicles"
 _WINDOW = "blender_lidar_window"  # custom property: between which times of the recording the mesh has its traffic [s]
 _BODIES = "blender_lidar_bodies"  # and the collection of what stands for vehicles
+_MADE_OF = "blender_lidar_made_of"  # and of that what its bodies are
 MOST_SEGMENTS = 300_000  # in a mesh at once: more would make .blend files and undo slow
 _BEHIND = 0.25  # share of them from before the moment shown
 _EVER_S = 1e9
@@ -61,6 +62,8 @@ def show_recording(
     since_s: float,
     starts_s: float,
     own: Mapping[str, OwnBody] | None = None,
+    *,
+    alone: bool = False,
 ) -> None:
     """Let the timeline move a recording's vehicles: at every time those of `Recording.moment`.
 
@@ -80,6 +83,8 @@ def show_recording(
         Second of the timeline at which the recording begins.
     own : mapping of str to OwnBody, optional
         Bodies of the user's in place of ours, by the kinds of vehicles that have them.
+    alone : bool
+        Whether there is no recording to go on with: `starts_at` is False then.
     """
     clock, rows = recording.since_s, np.append(0, np.cumsum(recording.counts))
     at = max(int(np.searchsorted(clock, since_s, side="right")) - 1, 0)
@@ -94,10 +99,9 @@ def show_recording(
     there = np.where(goes_on, after, np.arange(rows[first], rows[last]))
     there = {name: getattr(recording, name)[there] for name in ("centre_m", "heading_rad")}
     boxes = Vehicles(0, 0.0, **{name: getattr(recording, name)[part] for name in _OF_BOXES})
-    _write(scene, boxes, there, begin - origin_s, end - origin_s, detail, own)
     low, high = -_EVER_S if first == 0 else clock[first], _EVER_S if last == len(clock) else clock[last] - SAME_S
-    item = traffic_object(scene)
-    item[_WINDOW] = [low, high, origin_s]
+    window = [0.0, 0.0, origin_s] if alone else [low, high, origin_s]
+    item = _write(scene, boxes, there, begin - origin_s, end - origin_s, detail, own, window)
     starts_at(item, since_s, starts_s)
 
 
@@ -108,20 +112,13 @@ def show_still(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "body",
     """Let a scene show the vehicles of one moment at all times, as `show_recording` does."""
     there = {"centre_m": vehicles.centre_m, "heading_rad": vehicles.heading_rad}
     ever = np.full(len(vehicles), _EVER_S)
-    _write(scene, vehicles, there, -ever, ever, detail, own)
-    has_no_more(scene)
+    _write(scene, vehicles, there, -ever, ever, detail, own, [0.0, 0.0, 0.0])
 
 
-def has_no_more(scene: bpy.types.Scene) -> None:
-    """Say of what shows a scene's traffic that it has but a part of what was recorded: `starts_at` is False then."""
-    item = traffic_object(scene)
-    item[_WINDOW] = [0.0, 0.0, item[_WINDOW][2]]
-
-
-def _write(scene, boxes, there, begin, end, detail, own):
-    """Let the mesh of a scene's vehicles hold boxes, and places and headings at their end."""
+def _write(scene, boxes, there, begin, end, detail, own, window):
+    """Let the mesh of a scene's vehicles hold boxes, and places and headings at their end; returns its object."""
     item = traffic_object(scene) or _new_object(scene)
-    mesh = item.data
+    item[_WINDOW], mesh = window, item.data
     mesh.clear_geometry()
     mesh.vertices.add(len(boxes))
     mesh.vertices.foreach_set("co", np.ascontiguousarray(boxes.centre_m, dtype=np.float32).ravel())
@@ -134,6 +131,7 @@ def _write(scene, boxes, there, begin, end, detail, own):
     mesh.update()
     _fill_bodies(item[_BODIES], names.tolist(), detail, own)
     item.update_tag()
+    return item
 
 
 def _new_object(scene):
@@ -157,14 +155,12 @@ def _fill_bodies(into, names, detail, own):
     own = own or {}
     bodies = [own.get(kind) or own.get(kind.removeprefix("long_")) for kind in map(KIND_OF_BODY.get, names)]
     titles = [f"{number:02d} {name} {detail}" for number, name in enumerate(names)]
-    wanted = [
-        f"{title} {of and (of.collection.name_full, of.fit.tolist())}" for title, of in zip(titles, bodies, strict=True)
-    ]
-    if [item.get(_TITLE) for item in into.objects] == wanted:
-        return
-    bpy.data.batch_remove(list(into.objects))
-    for title, name, of, made_of in zip(titles, names, bodies, wanted, strict=True):
-        (own_object(into, of, title) if of else body_object(into, name, detail, title))[_TITLE] = made_of
+    made_of = repr([titles, [of and (of.collection.name_full, of.fit.tolist()) for of in bodies]])
+    if into.get(_MADE_OF) != made_of:
+        bpy.data.batch_remove(list(into.objects))
+        for title, name, of in zip(titles, names, bodies, strict=True):
+            own_object(into, of, title) if of else body_object(into, name, detail, title)
+        into[_MADE_OF] = made_of
 
 
 def own_object(into: bpy.types.Collection, body: OwnBody, title: str) -> bpy.types.Object:
@@ -173,9 +169,6 @@ def own_object(into: bpy.types.Collection, body: OwnBody, title: str) -> bpy.typ
     item.instance_type, item.instance_collection = "COLLECTION", body.collection
     item.matrix_basis = Matrix(body.fit) @ Matrix.Translation(body.collection.instance_offset)
     return item
-
-
-_TITLE = "blender_lidar_body"  # custom property of a body
 
 
 def body_object(into: bpy.types.Collection, name: str, detail: str, title: str) -> bpy.types.Object:
