@@ -9,7 +9,7 @@ import bpy
 from mathutils import Matrix, Vector
 
 from ..errors import BlenderLidarError
-from ..world.blender.objects import frame_of, is_local
+from ..world.blender.objects import frame_of
 from . import properties, session
 
 _COLOURS = {"height_m": (0.3, 0.6, 1.0), "tilt_x_deg": (1.0, 0.3, 0.3), "range_gate_m": (1.0, 0.8, 0.2)}
@@ -55,7 +55,7 @@ class BLENDER_LIDAR_GGT_lidar(bpy.types.GizmoGroup):
     def poll(cls, context):
         """Whether a LiDAR of this file is selected and can be changed."""
         lidar = session.active_lidar(context.scene)
-        if lidar is None or not is_local(lidar) or not lidar.select_get():
+        if lidar is None or lidar.library is not None or not lidar.select_get():
             return False
         try:
             properties.mounting_of(lidar), session.sensor_of(lidar)

@@ -3,7 +3,7 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from ..errors import BlenderLidarError
+from ..errors import BlenderLidarError, one_line
 from ..world.blender.objects import frame_of, holds, is_lidar, lidars
 from ..world.blender.road import show_ground
 from . import earlier, operators, properties, session
@@ -76,7 +76,7 @@ def adopt_all() -> None:
             operators.adopt(scene)
         except Exception as error:  # no operator is there to report it
             _failed.add(session.uid_of(scene))
-            properties.tell(scene, " ".join(str(error).split()))
+            properties.tell(scene, one_line(str(error)))
 
 
 @properties.guarded

@@ -19,7 +19,7 @@ from mathutils import Euler
 from ..clouds.live import LiveFrame, Look
 from ..clouds.scan import joined_clouds
 from ..clouds.snapshot import entropy_of_vehicles, vertices_of
-from ..errors import BlenderLidarError
+from ..errors import BlenderLidarError, one_line
 from ..scene.mount_checks import check_mount_is_clear
 from ..scene.scenario import Scenario
 from ..traffic.vehicles import Vehicles
@@ -114,7 +114,7 @@ def update(graph: bpy.types.Depsgraph | None = None) -> None:
                 if _update_one(scene, lidar, shown, objects, graph):
                     shown.problem, moved = "", True
             except BlenderLidarError as error:
-                shown.problem, moved = " ".join(str(error).split()), True
+                shown.problem, moved = one_line(str(error)), True
             problems += [shown.problem] if shown.problem else []
         if moved:
             redraw()
@@ -123,7 +123,7 @@ def update(graph: bpy.types.Depsgraph | None = None) -> None:
                     scene, next((session.layout_of(scene, one) for one in mine if one.blender_lidar.in_layout), [])
                 )
             except BlenderLidarError as error:
-                problems.append(" ".join(str(error).split()))
+                problems.append(one_line(str(error)))
             properties.tell(scene, problems[0] if problems else "")
     for key in set(_state.shown) - live.keys():
         _end(key)

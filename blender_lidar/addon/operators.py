@@ -15,7 +15,7 @@ from mathutils import Vector
 from ..casting import resolve
 from ..clouds.files import SUSTECHPOINTS_PARTS, write_cloud, write_sustechpoints
 from ..clouds.snapshot import MountedSensor, entropy_of_vehicles, mounted_sensors, vertices_of
-from ..errors import BlenderLidarError, InputError
+from ..errors import BlenderLidarError, InputError, one_line
 from ..files import check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
 from ..run.folder import RunFolder
@@ -39,7 +39,6 @@ from ..world.blender.objects import (
     dress,
     frame_of,
     is_lidar,
-    is_local,
     lidars,
     new_lidar,
     remove_orphans,
@@ -69,7 +68,7 @@ def one_line_errors(execute: Callable) -> Callable:
         try:
             return execute(operator, context)
         except BlenderLidarError as error:
-            operator.report({"ERROR"}, " ".join(str(error).split()))
+            operator.report({"ERROR"}, one_line(str(error)))
             return {"CANCELLED"}
 
     return guarded
@@ -101,7 +100,7 @@ def show_site(scene: bpy.types.Scene, recording: Recording, frame: int, scenery:
     reach = max(_LEAST_REACH_M, scenario.sensor.range_gate_m)
     bare = frame_of(scene) is None
     build_road(scene, scenario.road_map, scenario.deployment.nominal_xy, reach)
-    for lidar in filter(is_local, lidars(scene) if bare else ()):  # which has no pole yet
+    for lidar in [one for one in lidars(scene) if bare and one.library is None]:  # which has no pole yet
         dress(lidar, lattice_of(session.sensor_of(lidar)))
     show_ground(scene, session.view_layer_of(scene), shown=scene.blender_lidar.world.ground)
     build_scenery(scene, scenery)
@@ -195,7 +194,7 @@ def _fill_from_file(operator, context, path, *, clip=False):
     scene.blender_lidar.clip = clip
     session.fill_scene(scene, tables, folder, scenario)
     properties.hang_again(scene)
-    there, taken = {one.name: one for one in filter(is_local, lidars(scene))}, set()
+    there, taken = {one.name: one for one in lidars(scene) if one.library is None}, set()
     for one in there.values() if scenario.lidar_name else ():
         one.blender_lidar.in_layout = False
     for number, one in enumerate(scenario.each):
@@ -340,7 +339,7 @@ def adopt(scene: bpy.types.Scene) -> None:
     stored = scene.get(SETTINGS)
     if stored and scene.blender_lidar.schema == 0:
         _fill_from(scene)
-    here = list(filter(is_local, lidars(scene)))
+    here = [one for one in lidars(scene) if one.library is None]
     found, carried = here, frame_of(scene) is not None or not session.has_road(scene)
     if found and not carried:
         road_frame(scene)

@@ -25,7 +25,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..errors import InputError
+from ..errors import InputError, one_line
 from ..names import METRIC_NAMES
 from ..road.mapped import MappedRoad, map_of
 from ..road.road_map import RoadMap
@@ -419,7 +419,7 @@ def guarded(call: Callable) -> Callable:
             return call(*given)
         except Exception as error:
             scene = given[0] if given and isinstance(given[0], bpy.types.Scene) else bpy.context.scene
-            tell(scene, " ".join(str(error).split()))
+            tell(scene, one_line(str(error)))
 
     return safe
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..clouds.live import LiveFrame
-from ..errors import BlenderLidarError
+from ..errors import BlenderLidarError, one_line
 from ..run.folder import RunFolder
 from ..run.optimise import optimise_site
 from ..scene.scenario import load_scenario, shipped_scenes
@@ -76,7 +76,7 @@ def main(order: str, folder: str) -> int:
             optimise_site(site, run, _Listener())
             write_pages(site, run, lambda note: None)
     except BlenderLidarError as error:
-        tell("problem", problem=" ".join(str(error).split()))
+        tell("problem", problem=one_line(str(error)))
         return 1
     return 0
 

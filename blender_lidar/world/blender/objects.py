@@ -419,11 +419,6 @@ def remove_orphans(scene: bpy.types.Scene) -> None:
     _remove([item for item in alone if item.hide_select or role(item) != CLOUD])
 
 
-def is_local(item: bpy.types.Object) -> bool:
-    """Whether an object is of this file: what is linked from another is read, never written."""
-    return item.library is None
-
-
 def check_local(lidar: bpy.types.Object) -> None:
     """Refuse a LiDAR that is linked from another file.
 
@@ -432,7 +427,7 @@ def check_local(lidar: bpy.types.Object) -> None:
     InputError
         By its name and the file's.
     """
-    if not is_local(lidar):
+    if lidar.library is not None:
         raise InputError(f"{lidar.name}: is linked from {lidar.library.filepath}; allowed: a LiDAR of this file")
 
 

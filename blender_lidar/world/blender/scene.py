@@ -173,7 +173,7 @@ def render_picture(
 
 
 def show_points_alone(scene: bpy.types.Scene, caption: str) -> None:
-    """Let pictures of a scene show its clouds on black, the rest in dim light without ground and fans, and a caption."""
+    """Let pictures of a scene show its clouds on black, the rest dim, without ground and fans, and a caption."""
     for item in scene.objects:
         item.visible_camera = role(item) not in (ROAD_ROLE, FAN)
         if item.type == "LIGHT":
