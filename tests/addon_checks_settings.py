@@ -318,3 +318,15 @@ def check_registering_twice_leaves_nothing():
         assert not session._FRAMES
     blender_lidar.unregister()  # once more does no harm
     blender_lidar.register()
+
+
+def check_fields_of_another_model_are_what_its_scene_file_says_of_it():
+    new_file()
+    bpy.ops.blender_lidar.load_example()
+    group = session.active_lidar(bpy.context.scene).blender_lidar
+    for model, gate_m in (("RS-80", 150.0), ("RS-32", 80.0), ("RS-16", 50.0)):
+        group.name_ = model
+        assert group.range_gate_m == session.sensor_of(group.id_data).range_gate_m == gate_m, model
+    group.range_gate_m = 70.0
+    group.name_ = "RS-80"
+    assert group.range_gate_m == session.sensor_of(group.id_data).range_gate_m == 70.0

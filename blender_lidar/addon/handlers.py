@@ -97,6 +97,7 @@ def on_change(block: bpy.types.ID, table: str) -> None:
         elif table == "road":
             properties.hang_again(scene)
         elif table == "sensor" and block != scene:
+            session.show_model(block)
             operators.dress(block, operators.lattice_of(session.sensor_of(block)))
     except BlenderLidarError as error:
         problem = str(error)

@@ -353,6 +353,17 @@ def sensor_table(lidar: bpy.types.Object) -> dict[str, object]:
     return table
 
 
+def show_model(lidar: bpy.types.Object) -> None:
+    """Let the fields of [sensor] that were not changed be those of the LiDAR's model, as its scene file has them."""
+    group, kept = lidar.blender_lidar, properties.kept_of(lidar.blender_lidar)
+    then, now = kept.fields.get("sensor", {}), sensor_table(lidar)
+    same = {key: of for key, of in properties.SENSOR.items() if key in then and now.get(key) == then[key]}
+    with properties.silently():
+        properties.fill(group, same, asdict(sensor_of(lidar)))
+    shown = {key: value for key, value in sensor_table(lidar).items() if key in same}
+    properties.keep_tables(group, kept.tables, kept.folder, {**kept.fields, "sensor": then | shown})
+
+
 def fill_lidar(lidar, tables: Mapping[str, Mapping], folder: str, scenario: Scenario, number: int = 0) -> None:
     """Set a LiDAR's fields to what one of a scene has and searches, and keep [sensor] as the `tables` of it say."""
     group, scenario = lidar.blender_lidar, scenario.alone(number)
