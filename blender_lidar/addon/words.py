@@ -30,6 +30,7 @@ PANELS = {  # in which panel the settings of a table are
 }
 TOOLTIPS = {
     "path": "Recording of traffic (NGSIM, SUMO, tables and others) or a scene file (.toml)",
+    "format": "Format of the recording; Auto finds it from the first lines",
     "origin_m": "Where the road begins in the recording's own coordinates: two numbers, such as 565432.1, 4184321.9",
     "heading_deg": "Direction of the road in the recording's own coordinates, counter-clockwise from their x axis",
     "time_step_s": "Time from one frame number to the next in a table without times; 0 leaves it to the file",
@@ -45,6 +46,7 @@ TOOLTIPS = {
     "iterations": "How often they move on; more takes longer and finds better",
     "rotation_hz": "Turns per second; 0 takes the model's own",
     "range_gate_m": "How far the LiDAR is to see vehicles; 0 takes the model's range",
+    "unit": "Number of the unit: with a Unit Spread each has slightly different beams",
     "seed": "Another number draws other random steps of the search",
 }
 CHOICES = {
