@@ -84,7 +84,7 @@ def used() -> dict[str, object]:
     assert lidar_ops.set_baseline() == {"FINISHED"}
     assert lidar_ops.load() == {"FINISHED"}
     assert lidar_ops.add() == {"FINISHED"}
-    assert lidar_ops.select(name="LiDAR") == {"FINISHED"}
+    bpy.context.view_layer.objects.active = scene.blender_lidar.active = lidar
     with tempfile.TemporaryDirectory() as folder:
         assert lidar_ops.export_cloud(filepath=str(Path(folder) / "cloud.npz")) == {"FINISHED"}
         assert lidar_ops.export_labelled(directory=str(Path(folder) / "labelled")) == {"FINISHED"}
