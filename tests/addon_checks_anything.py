@@ -8,7 +8,7 @@ import math
 import bpy
 import numpy as np
 
-from blender_lidar.addon import handlers, live, session
+from blender_lidar.addon import handlers, live, scenarios
 from blender_lidar.clouds.files import LABELS, read_cloud
 from blender_lidar.world.blender.objects import frame_of, lidars, role
 from blender_lidar.world.blender.points import cloud_of
@@ -30,7 +30,7 @@ def attribute(cloud, name):
 def seen_live(lidar):
     bpy.context.view_layer.update()
     live.update()
-    return live._state.shown[session.uid_of(lidar)].look.cloud
+    return live._state.shown[scenarios.uid_of(lidar)].look.cloud
 
 
 def check_add_and_live_show_points_on_the_default_cube():

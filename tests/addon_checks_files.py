@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 import blender_lidar
-from blender_lidar.addon import handlers, operators, properties, session
+from blender_lidar.addon import handlers, operators, properties, scenarios, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.world.blender.objects import CLOUD, KEY, PART, hang, lidars, role
@@ -48,11 +48,11 @@ def check_a_lidar_duplicated_alone_or_whole_is_another_one():
         first, second = lidars(scene)
         assert first == lidar
         case = f"whole={whole} linked={linked}"
-        assert session.uid_of(first) != session.uid_of(second)
+        assert scenarios.uid_of(first) != scenarios.uid_of(second)
         kinds = sorted(role(child) for child in second.children)
         assert kinds.count(PART) == 2, (case, kinds)
         choose(second)
-        assert session.active_lidar(scene) == second
+        assert scenarios.active_lidar(scene) == second
         second.blender_lidar.name_, second.blender_lidar.x_m, second.blender_lidar.height_m = "VLP-16", 5.0, 2.5
         assert first.blender_lidar.name_ == "RS-16"
         assert first.blender_lidar.height_m == 4.0
@@ -74,7 +74,7 @@ def check_a_lidar_is_added_before_traffic_is_loaded_and_dressed_as_its_model():
     scene.cursor.location = (3.0, -1.0, 0.0)
     assert bpy.ops.blender_lidar.add(height_m=4.0) == {"FINISHED"}
     (lidar,) = lidars(scene)
-    assert session.active_lidar(scene) == lidar
+    assert scenarios.active_lidar(scene) == lidar
     place = coordinates_of(lidar)
     assert (place["x_m"], place["y_m"]) == (3.0, -1.0)
     assert not any(child.name.startswith("Pole") for child in lidar.children)
@@ -116,11 +116,11 @@ def check_a_bake_is_what_scan_finds_on_each_frame_and_shows_again_in_the_file_th
 def check_a_renamed_lidar_stays_the_chosen_one():
     scene, first = loaded()
     assert bpy.ops.blender_lidar.add() == {"FINISHED"}
-    second = session.active_lidar(scene)
+    second = scenarios.active_lidar(scene)
     second.name = "Nord"
     bpy.context.view_layer.objects.active = None
-    assert session.active_lidar(scene) == second
-    assert session.lidars_of(scene) == [first, second]
+    assert scenarios.active_lidar(scene) == second
+    assert scenarios.lidars_of(scene) == [first, second]
 
 
 def check_a_linked_lidar_is_scanned_and_never_written():
@@ -142,11 +142,11 @@ def check_a_linked_lidar_is_scanned_and_never_written():
     assert bpy.ops.blender_lidar.load() == {"FINISHED"}  # which adds one of this file
     linked = next(one for one in lidars(scene) if one.library)
     handlers.adopt_all()
-    assert linked in session.lidars_of(scene)
+    assert linked in scenarios.lidars_of(scene)
     assert len({row.lidar.name for row in scene.blender_lidar.lidars}) == 1  # of two LiDARs
     for number, row in enumerate(scene.blender_lidar.lidars):
         scene.blender_lidar.row = number
-        assert session.active_lidar(scene) == row.lidar
+        assert scenarios.active_lidar(scene) == row.lidar
     before, count = (fields(linked.blender_lidar), np.array(linked.matrix_world).tolist()), len(bpy.data.objects)
     choose(linked)
     scene.blender_lidar.frame = FRAME
@@ -205,7 +205,7 @@ def check_files_of_before_are_taken_over():
     blender_lidar.register()
     bpy.ops.wm.open_mainfile(filepath=path)
     (lidar,) = lidars(bpy.context.scene)
-    assert session.lidars_of(bpy.context.scene) == [lidar]
+    assert scenarios.lidars_of(bpy.context.scene) == [lidar]
     group = lidar.blender_lidar
     assert (group.name_, group.colour_by, group.range_gate_m, group.points) == ("VLP-16", "ring", 42.0, 7)
     assert "lidar" not in lidar
@@ -217,7 +217,7 @@ def check_files_of_before_are_taken_over():
     assert {child.name.split(".")[0]: role(child) for child in lidars(scene)[0].children}["Head"] == PART
     bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "links.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "links.blend"))
-    (lidar,) = session.lidars_of(bpy.context.scene)
+    (lidar,) = scenarios.lidars_of(bpy.context.scene)
     assert lidar.library is not None
     assert lidar.blender_lidar.name_ == "VLP-16"
     assert not len(open_scenery(bpy.context.scene, bpy.context.view_layer))
@@ -399,7 +399,7 @@ def check_two_scenes_of_a_file_do_not_mix():
     other = bpy.data.scenes.new("Other")
     bpy.context.window.scene = other
     assert not bpy.ops.blender_lidar.scan.poll()
-    assert session.active_lidar(other) is None
+    assert scenarios.active_lidar(other) is None
     other.blender_lidar.traffic.path = str(example())
     assert bpy.ops.blender_lidar.load() == {"FINISHED"}
     (second,) = lidars(other)
@@ -413,7 +413,7 @@ def check_two_scenes_of_a_file_do_not_mix():
     np.testing.assert_array_equal(vertices(cloud_of(lidar)), before[0])
     assert not set(scene.objects) & set(other.objects)
     bpy.context.window.scene = scene
-    assert session.active_lidar(scene) == lidar
+    assert scenarios.active_lidar(scene) == lidar
 
 
 def check_the_users_camera_layer_file_and_nesting_stay():
@@ -455,8 +455,8 @@ def check_what_build_writes_is_taken_over():
     (lidar,) = lidars(scene)
     written = load_scenario(path).as_tables()
     assert lidar.blender_lidar.schema == properties.SCHEMA
-    assert session.scenario_from(scene, lidar).as_tables()["sensor"] == written["sensor"]
-    assert session.scenario_from(scene, lidar).as_tables()["road"] == written["road"]
+    assert scenarios.scenario_from(scene, lidar).as_tables()["sensor"] == written["sensor"]
+    assert scenarios.scenario_from(scene, lidar).as_tables()["road"] == written["road"]
     assert scene.blender_lidar.loaded
     assert scene.blender_lidar.frame == FRAME
     found = coordinates_of(lidar)

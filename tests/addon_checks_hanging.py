@@ -8,7 +8,7 @@ import math
 import bpy
 import numpy as np
 
-from blender_lidar.addon import operators, properties, session
+from blender_lidar.addon import operators, properties, scenarios
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.blender.objects import CLOUD, FAN, PART, hang, lidars, pose_of, role
@@ -246,7 +246,7 @@ def check_a_lidar_keeps_its_coordinates_when_the_slope_of_its_road_changes():
     road = scene.blender_lidar.road
     road.grade_percent, road.cross_fall_percent = 6.0, 2.5
     assert coordinates_of(lidar) == POSE
-    scenario = session.scenario_from(scene, lidar)
+    scenario = scenarios.scenario_from(scene, lidar)
     assert np.abs(pose_of(lidar).rotation - scenario.mounting(POSE).pose.rotation).max() < 1e-6
     assert np.abs(pose_of(lidar).rotation - mounting(POSE).pose.rotation).max() > 0.02
     scene.cursor.location = (3.0, -1.0, 4.0)

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 
 import blender_lidar
-from blender_lidar.addon import handlers, live, operators, optimising, panels, properties, session, words
+from blender_lidar.addon import handlers, live, operators, optimising, panels, properties, scenarios, session, words
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.deployment import MOUNTING_OR_LEAN
 from blender_lidar.scene.scenario import load_scenario
@@ -59,7 +59,7 @@ def check_a_scan_and_a_score_are_those_of_the_command_line():
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     np.testing.assert_allclose(evaluated(cloud_of(lidar)), points, atol=2e-5)
 
-    scenario = session.scenario_from(scene, lidar)
+    scenario = scenarios.scenario_from(scene, lidar)
     site = prepared(scenario, mounting(POSE))
     assert [frame.vehicles.frame for frame in site.search] == [FRAME]
     with Evaluator(site.search, site.observation, site.scoring) as evaluator:
@@ -150,17 +150,17 @@ def check_every_field_of_the_panel_comes_back_as_it_was_typed():
     path = example(**known)
     first = load_scenario(path)
     tables = first.with_whole_paths()
-    session.fill_scene(scene, tables, "", first)
+    scenarios.fill_scene(scene, tables, "", first)
     lidar = operators.add_lidar(scene, mounting(POSE).pose)
-    session.fill_lidar(lidar, tables, "", first)
+    scenarios.fill_lidar(lidar, tables, "", first)
     for group in (scene.blender_lidar, lidar.blender_lidar):  # nothing is kept of the file, so that the fields say all
         assert group.kept
         group.kept = ""
-    fields = session.fields_of(scene) | {"sensor": session.sensor_table(lidar)}
+    fields = scenarios.fields_of(scene) | {"sensor": scenarios.sensor_table(lidar)}
     for name, table in known.items():
         for key, value in table.items():
             assert fields[name][key] == value, (name, key, value, fields[name][key])
-    scenario = session.scenario_from(scene, lidar).as_tables()
+    scenario = scenarios.scenario_from(scene, lidar).as_tables()
     for name in ("road", "objective", "region", "baseline", "world", "sensor"):
         assert scenario[name] == first.as_tables()[name], name
     assert scenario["deployment"]["height_m"] == (2.0, 4.5)
@@ -323,10 +323,10 @@ def check_registering_twice_leaves_nothing():
 def check_fields_of_another_model_are_what_its_scene_file_says_of_it():
     new_file()
     bpy.ops.blender_lidar.load_example()
-    group = session.active_lidar(bpy.context.scene).blender_lidar
+    group = scenarios.active_lidar(bpy.context.scene).blender_lidar
     for model, gate_m in (("RS-80", 150.0), ("RS-32", 80.0), ("RS-16", 50.0)):
         group.name_ = model
-        assert group.range_gate_m == session.sensor_of(group.id_data).range_gate_m == gate_m, model
+        assert group.range_gate_m == scenarios.sensor_of(group.id_data).range_gate_m == gate_m, model
     group.range_gate_m = 70.0
     group.name_ = "RS-80"
-    assert group.range_gate_m == session.sensor_of(group.id_data).range_gate_m == 70.0
+    assert group.range_gate_m == scenarios.sensor_of(group.id_data).range_gate_m == 70.0

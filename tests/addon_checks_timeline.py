@@ -8,7 +8,7 @@ import shutil
 import bpy
 import numpy as np
 
-from blender_lidar.addon import live, panels, session
+from blender_lidar.addon import live, panels, scenarios, session
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import read_recording
 from blender_lidar.world.blender.objects import lidars
@@ -65,7 +65,7 @@ def check_the_example_plays_20_s_from_the_current_frame_and_is_scanned_at_every_
     for row, at in ((1, 17), (2, 23)):  # Live follows, and finds what Scan has found
         scene.frame_set(at)
         live.update()
-        shown = live._state.shown[session.uid_of(lidar)].look.cloud.xyz
+        shown = live._state.shown[scenarios.uid_of(lidar)].look.cloud.xyz
         np.testing.assert_allclose(shown, seen[row], atol=1e-5)
     lidar.blender_lidar.live = False
     live.update()

@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from blender_lidar.addon import live, optimising, session
+from blender_lidar.addon import live, optimising, scenarios, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.world.blender.objects import add_object, lidars, new_mesh
 from blender_lidar.world.blender.site import visible_triangles
@@ -133,7 +133,7 @@ def check_an_object_becomes_the_body_of_a_class_and_what_is_changed_of_it_is_see
     bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "own.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "own.blend"))
     scene, (lidar,) = bpy.context.scene, lidars(bpy.context.scene)
-    assert session.uid_of(scene) in session._BODIES, "a render would have to read them"
+    assert scenarios.uid_of(scene) in session._BODIES, "a render would have to read them"
     assert scanned(lidar) == own
     lidar.blender_lidar.live = True
     bpy.data.objects["Wedge"].data.vertices[3].co.z = 1.2

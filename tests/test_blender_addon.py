@@ -12,7 +12,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_lidar.addon import gizmos, live, optimising, properties, session
+from blender_lidar.addon import gizmos, live, optimising, properties, scenarios, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
@@ -36,7 +36,7 @@ def loaded(path: Path):
 
 def scenario():
     scene = bpy.context.scene
-    return session.scenario_from(scene, lidars(scene)[0], here=False)
+    return scenarios.scenario_from(scene, lidars(scene)[0], here=False)
 
 
 def saved_and_opened(folder: Path):
@@ -177,7 +177,7 @@ def test_what_several_recordings_cannot_share_is_refused_by_name(tmp_path):
 def test_a_setting_without_a_field_is_shown_and_an_error_in_it_names_the_file(tmp_path):
     path = SCENES["weights_zones_and_tolerance"](tmp_path)
     lidar, scene = loaded(path), bpy.context.scene
-    assert "[objective] classes, class_weights, zones, tolerance, loss, view" in session.without_field(scene, lidar)
+    assert "[objective] classes, class_weights, zones, tolerance, loss, view" in scenarios.without_field(scene, lidar)
     (tmp_path / "poles.csv").write_text("name,x_m,y_m\na,0,0\n", encoding="utf-8")
     lidar.blender_lidar.poles = str(tmp_path / "poles.csv")
     with pytest.raises(properties.InputError, match=r"scene.toml: \[objective\] tolerance: is given beside"):
@@ -186,9 +186,9 @@ def test_a_setting_without_a_field_is_shown_and_an_error_in_it_names_the_file(tm
 
 def test_keys_of_a_road_that_has_no_fields_are_kept_and_shown(tmp_path):
     scene, given = bpy.context.scene, {"net": "town.net.xml", "origin_m": [100.0, 200.0]}
-    properties.keep_tables(scene.blender_lidar, {"road": given}, "", session.fields_of(scene))
+    properties.keep_tables(scene.blender_lidar, {"road": given}, "", scenarios.fields_of(scene))
     assert properties.road_table(scene) == given
-    assert "[road] net, origin_m" in session.without_field(scene, None)
+    assert "[road] net, origin_m" in scenarios.without_field(scene, None)
     scene.blender_lidar.road.lanes = 3
     assert properties.road_table(scene) == given | {"lanes": 3}
 
@@ -200,7 +200,7 @@ def test_the_crown_is_there_wherever_a_live_lidar_is_dragged(tmp_path):
         lidar.blender_lidar.x_m = x_m
         bpy.context.view_layer.update()
         live.update()
-        xyz = live._state.shown[session.uid_of(lidar)].look.cloud.xyz
+        xyz = live._state.shown[scenarios.uid_of(lidar)].look.cloud.xyz
         assert bpy.ops.blender_lidar.export_cloud(filepath=str(tmp_path / "cloud.npz")) == {"FINISHED"}
         with np.load(tmp_path / "cloud.npz") as line:
             np.testing.assert_allclose(xyz, line["xyz"], rtol=0.0, atol=1e-9, err_msg=str(x_m))
@@ -264,17 +264,17 @@ def test_a_scene_runs_its_python_file_only_after_a_yes_and_again_only_as_it_was(
     scene.blender_lidar.traffic.path = str(path)
     with pytest.raises(RuntimeError, match=r"is Python code that the scene runs; allowed after Run own\.py"):
         bpy.ops.blender_lidar.load()
-    assert session.untrusted(scene) == [own]
+    assert scenarios.untrusted(scene) == [own]
     assert not ran.exists()
     assert bpy.ops.blender_lidar.run_file(filepath=str(own)) == {"FINISHED"}
     loaded(path)
-    assert session.untrusted(scene) == []
+    assert scenarios.untrusted(scene) == []
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert ran.exists()
     ran.unlink()
     own.write_text(OWN + "# changed")
     saved_and_opened(tmp_path)
-    assert session.untrusted(bpy.context.scene) == [own]
+    assert scenarios.untrusted(bpy.context.scene) == [own]
     with pytest.raises(RuntimeError, match=r"allowed after Run own\.py"):
         bpy.ops.blender_lidar.scan()
     assert not ran.exists()
@@ -287,7 +287,7 @@ def test_vehicles_that_are_left_out_are_neither_there_nor_counted(tmp_path):
     counted = session.live_frame(scene, lidar).frame
     out = int(counted.vehicles.vehicle_id[counted.counted][0])
     scene.blender_lidar.traffic.leave_out = f"{out}"
-    assert session.scenario_from(scene).traffic.leave_out == (out,)
+    assert scenarios.scenario_from(scene).traffic.leave_out == (out,)
     assert set(session.vehicles_of(scene).vehicle_id) == set(ids) - {out}
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert lidar.blender_lidar.vehicles == before - 1

@@ -15,7 +15,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_lidar.addon import baking, session
+from blender_lidar.addon import baking, scenarios, session
 from blender_lidar.clouds.files import read_points
 from blender_lidar.world.blender.objects import hang, lidars, new_mesh, pose_of
 from blender_lidar.world.blender.points import cloud_of
@@ -230,7 +230,7 @@ def test_a_moved_lidar_or_other_settings_are_told_until_it_is_baked_again(scene)
 
 def test_duplicates_renamed_lidars_and_other_files_have_bakes_of_their_own(scene, tmp_path):
     before, lidar = bake(scene), lidars(scene)[0]
-    session.select(bpy.context, lidar)
+    scenarios.select(bpy.context, lidar)
     assert bpy.ops.object.duplicate() == {"FINISHED"}
     twin = bpy.context.object
     assert not baking.files_of(twin)

@@ -14,7 +14,7 @@ bpy = pytest.importorskip("bpy")
 from mathutils import Matrix
 
 from blender_lidar import addon
-from blender_lidar.addon import handlers, live, optimising, properties, session
+from blender_lidar.addon import handlers, live, optimising, properties, scenarios, session
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.world.blender.objects import PART, VEHICLE, frame_of, hang, lidars, new_mesh, pose_of, role
 from blender_lidar.world.blender.points import cloud_of
@@ -67,7 +67,7 @@ def seen(lidar):
     lidar.blender_lidar.live = True
     bpy.context.view_layer.update()
     live.update()
-    shown = live._state.shown[session.uid_of(lidar)].look.cloud.xyz
+    shown = live._state.shown[scenarios.uid_of(lidar)].look.cloud.xyz
     assert scored(lidar) == found
     np.testing.assert_allclose(shown, xyz, atol=1e-5)
     lidar.blender_lidar.live = False
@@ -167,7 +167,7 @@ def test_a_lidar_hangs_by_its_coordinates_whatever_it_is_parented_to(lidar):
         assert abs(places[:, 2].max() - PLACE[2] - POSE["height_m"]) < 1e-3
     scene.cursor.location = moved(np.array([6.0, -1.0, 3.0]))
     assert bpy.ops.blender_lidar.add() == {"FINISHED"}
-    added = properties.mounting_of(session.active_lidar(scene)).as_table()
+    added = properties.mounting_of(scenarios.active_lidar(scene)).as_table()
     np.testing.assert_allclose([added[key] for key in COORDINATES], [6.0, -1.0, 3.0, 0.0, 0.0, 0.0], atol=1e-3)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_lidar.addon import live, optimising, panels, properties, session
+from blender_lidar.addon import live, optimising, panels, properties, scenarios, session
 from blender_lidar.clouds.live import LiveFrame
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import optimise_site
@@ -50,7 +50,7 @@ def loaded(path: Path) -> dict[str, object]:
 
 def layout(here=False):
     scene = bpy.context.scene
-    return session.layout_scenario(scene, session.layout_of(scene, session.active_lidar(scene)), here=here)
+    return scenarios.layout_scenario(scene, scenarios.layout_of(scene, scenarios.active_lidar(scene)), here=here)
 
 
 def moved(lidar=None, **place):
@@ -98,7 +98,7 @@ def test_a_scene_with_several_lidars_is_loaded_as_it_is_and_written_as_it_was(tm
     path = write_layout(tmp_path)
     expected, hung = load_scenario(path).as_tables(), loaded(path)
     assert list(hung) == ["north", "south"]
-    assert [one.name for one in session.layout_of(bpy.context.scene, hung["north"])] == ["south", "north"]
+    assert [one.name for one in scenarios.layout_of(bpy.context.scene, hung["north"])] == ["south", "north"]
     assert layout().as_tables() == expected
     loaded(path)
     assert len(lidars(bpy.context.scene)) == 2
@@ -136,11 +136,11 @@ def test_while_one_is_dragged_the_others_are_not_cast_again_and_the_score_is_tha
     hung = loaded(write_layout(tmp_path))
     hung["north"].blender_lidar.live = True
     before, looks = moved(), []
-    held, look = live._state.shown[session.uid_of(hung["south"])].look, LiveFrame.look
+    held, look = live._state.shown[scenarios.uid_of(hung["south"])].look, LiveFrame.look
     monkeypatch.setattr(LiveFrame, "look", lambda self, *given: looks.append(self) or look(self, *given))
     after = moved(hung["north"], height_m=4.4, tilt_x_deg=0.3)
     assert len(looks) == 1
-    assert live._state.shown[session.uid_of(hung["south"])].look is held
+    assert live._state.shown[scenarios.uid_of(hung["south"])].look is held
     assert after["now"] != before["now"]
     assert after["baseline"] == before["baseline"]
     monkeypatch.undo()
@@ -163,9 +163,9 @@ def test_a_lidar_that_joins_the_layout_counts_in_it_and_one_that_leaves_does_not
     hung, scene = loaded(write_layout(tmp_path)), bpy.context.scene
     scene.cursor.location = (0.0, -0.5, 3.0)
     assert bpy.ops.blender_lidar.add() == {"FINISHED"}
-    added = session.active_lidar(scene)
+    added = scenarios.active_lidar(scene)
     assert not added.blender_lidar.in_layout
-    assert session.layout_of(scene, added) == [added]
+    assert scenarios.layout_of(scene, added) == [added]
     added.blender_lidar.in_layout, added.name, added.blender_lidar.range_gate_m = True, "the third", 20.0
     added.blender_lidar.rotation_hz, added.blender_lidar.tilt_x_deg_on = hung["south"].blender_lidar.rotation_hz, False
     assert [one.name for one in layout().lidars] == ["south", "north", "the_third"]
@@ -247,7 +247,7 @@ def test_lidars_on_poles_hang_on_different_ones_and_are_held_as_they_face(tmp_pa
         for name in ("lidar", "lidar 2")
     }
     assert properties.mounting_of(hung["one"]).xy != properties.mounting_of(hung["two"]).xy
-    held = session.layout_scenario(scene, list(hung.values()), here=False, held=[hung["two"]])
+    held = scenarios.layout_scenario(scene, list(hung.values()), here=False, held=[hung["two"]])
     assert held.lidars[1].is_held
     assert not held.lidars[0].is_held
     (place,) = held.lidars[1].deployment.places

@@ -8,7 +8,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from blender_lidar import addon
-from blender_lidar.addon import live, session
+from blender_lidar.addon import live, scenarios, session
 from blender_lidar.world.blender.objects import lidars, new_mesh
 from blender_lidar.world.blender.points import cloud_of
 from tests.blender_session import colours_shown
@@ -42,7 +42,7 @@ def moved(lidar, **place):
         setattr(lidar.blender_lidar, key, value)
     bpy.context.view_layer.update()
     live.update()
-    return live._state.shown[session.uid_of(lidar)]
+    return live._state.shown[scenarios.uid_of(lidar)]
 
 
 def told_of(lidar):
@@ -194,7 +194,7 @@ def test_a_render_looks_from_where_each_frame_takes_the_lidar(lidar, tmp_path):
     def note(scene, depsgraph):
         cloud = cloud_of(lidar)
         away = lidar.evaluated_get(depsgraph).matrix_world @ cloud.matrix_parent_inverse  # of the cloud from the road
-        shown = live._state.shown[session.uid_of(lidar)]
+        shown = live._state.shown[scenarios.uid_of(lidar)]
         assert not shown.problem
         if live._state.rendering:
             seen.append((shown.look.pose.x_m - before.x_m, away.translation.length))
@@ -229,7 +229,7 @@ def test_live_refuses_in_the_words_of_scan_and_draws_nothing_stale(lidar):
 def test_boxes_of_vehicles_hold_them_and_take_the_colours_of_their_entropy(lidar):
     lidar.blender_lidar.live = True
     shown, scene = moved(lidar, height_m=4.0), bpy.context.scene
-    boxes, vehicles = live._state.boxes[session.uid_of(scene)], session.vehicles_of(scene)
+    boxes, vehicles = live._state.boxes[scenarios.uid_of(scene)], session.vehicles_of(scene)
     np.testing.assert_array_equal(boxes.bits, shown.bits)
     corners = live.box_corners(boxes.vehicles)
     assert corners.shape == (len(vehicles), 8, 3)
@@ -283,4 +283,4 @@ def test_two_live_lidars_are_looked_at_each_by_itself_and_a_removed_one_is_let_g
     assert lidar.blender_lidar.points != other.blender_lidar.points
     bpy.data.objects.remove(other)
     live.update()
-    assert set(live._state.shown) == {session.uid_of(lidar)}
+    assert set(live._state.shown) == {scenarios.uid_of(lidar)}

@@ -25,7 +25,7 @@ from ..scene.site import lattice_of
 from ..sensors.pose import Pose
 from ..world.blender.points import cloud_of, show_cloud
 from ..world.scenery import NO_LABEL
-from . import live, operators, panels, properties, session
+from . import live, operators, panels, properties, scenarios, session
 
 _EVERY_S = 0.01  # between two clouds, in which Blender redraws
 _OF_CLOUDS = ("sensor", "world", "road", "model", "objective")  # tables of a scene that its clouds depend on
@@ -59,8 +59,8 @@ def steps(scene: bpy.types.Scene) -> Iterator[str]:
     BlenderLidarError
         For a file that was never saved, no LiDAR, no frame, and where Scan refuses, with the frame.
     """
-    before, uid = scene.frame_current_final, session.uid_of(scene)
-    hung = [one for one in session.lidars_of(scene) if not one.hide_render]
+    before, uid = scene.frame_current_final, scenarios.uid_of(scene)
+    hung = [one for one in scenarios.lidars_of(scene) if not one.hide_render]
     preview = "preview_" if scene.use_preview_range else ""
     first, last = (getattr(scene, f"frame_{preview}{end}") for end in ("start", "end"))
     frames, folders = range(first, last + 1, scene.frame_step), {str(folder_of(one)).casefold() for one in hung}
@@ -71,13 +71,15 @@ def steps(scene: bpy.types.Scene) -> Iterator[str]:
         raise InputError(f"Bake: LiDARs {names}; allowed: some, of names that make folders")
     if scene.library is None:
         scene.render.use_lock_interface = True  # a window that draws while a render changes meshes may crash
-    keys, at = [(frame, session.uid_of(one)) for frame in frames for one in hung], None
+    keys, at = [(frame, scenarios.uid_of(one)) for frame in frames for one in hung], None
     _work.update(done=0, total=len(keys))
     try:
         yield f"{len(keys)} clouds"
         for frame, key in keys:
             scene = _known(uid)
-            found = [one for one in session.lidars_of(scene) if session.uid_of(one) == key] if scene is not None else []
+            found = (
+                [one for one in scenarios.lidars_of(scene) if scenarios.uid_of(one) == key] if scene is not None else []
+            )
             again = bool(found) and (frame != at or frame != scene.frame_current_final)  # a window may play meanwhile
             if again:
                 scene.frame_set(at := frame)
@@ -95,7 +97,7 @@ def steps(scene: bpy.types.Scene) -> Iterator[str]:
 
 def _known(uid: str) -> bpy.types.Scene | None:
     """The scene of a `session_uid`; None where it was deleted."""
-    return next((one for one in bpy.data.scenes if session.uid_of(one) == uid), None)
+    return next((one for one in bpy.data.scenes if scenarios.uid_of(one) == uid), None)
 
 
 def _bake(scene, lidar, again) -> bool:
@@ -104,8 +106,8 @@ def _bake(scene, lidar, again) -> bool:
     Own bodies are read `again` for the first LiDAR of a frame.
     """
     scenario, mounting, vehicles = operators.checked_mount(scene, lidar)
-    objects, tables = session.exact_objects(scene, session.view_layer_of(scene), scenario), scenario.as_tables()
-    layout = session.layout_of(scene, lidar) if scenario.world.clutter else [lidar]  # which is kept clear of all
+    objects, tables = session.exact_objects(scene, scenarios.view_layer_of(scene), scenario), scenario.as_tables()
+    layout = scenarios.layout_of(scene, lidar) if scenario.world.clutter else [lidar]  # which is kept clear of all
     settings = session.settings_digest(lidar)
     of = [source_digest(), settings, *map(tables.get, _OF_CLOUDS), scenario.lidar_name]
     of += map(properties.mounting_of, layout)
@@ -156,18 +158,18 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
 def on_frame(scene, depsgraph=None, *_) -> None:
     """Let each LiDAR that was baked and is not live show the file of the frame that the scene has gone to, if any."""
     rendering = depsgraph is not None and depsgraph.mode == "RENDER"  # when no object may be made
-    for lidar in [] if _work or not bpy.data.filepath else session.lidars_of(scene):
+    for lidar in [] if _work or not bpy.data.filepath else scenarios.lidars_of(scene):
         folder = folder_of(lidar)
         if lidar.blender_lidar.live or not folder.is_dir() or (rendering and cloud_of(lidar) is None):
             continue
         name = f"frame_{scene.frame_current:04d}"
-        points, _shown[session.uid_of(lidar)] = _read(next(folder.glob(f"{name}.p*"), folder / name))
+        points, _shown[scenarios.uid_of(lidar)] = _read(next(folder.glob(f"{name}.p*"), folder / name))
         show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style, depsgraph)
 
 
 def is_changed(lidar: bpy.types.Object) -> bool:
     """Whether a LiDAR hangs elsewhere than in the bake of the frame that is shown, or was baked with other settings."""
-    header = _shown.get(session.uid_of(lidar))
+    header = _shown.get(scenarios.uid_of(lidar))
     return bool(header) and panels.is_other(lidar, header["pose"].values(), header.get(_SETTINGS))
 
 
@@ -228,14 +230,14 @@ class BLENDER_LIDAR_OT_free_bake(bpy.types.Operator):
 
     def execute(self, context):
         """Delete what Bake has written, and folders that hold nothing else."""
-        for lidar in session.lidars_of(context.scene):
+        for lidar in scenarios.lidars_of(context.scene):
             for path in files_of(lidar).values():
                 if _MADE_OF in _read(path)[1]:
                     path.unlink()
             for place in (folder_of(lidar), folder_of(lidar).parent):
                 with suppress(OSError):
                     place.rmdir()
-            _shown.pop(session.uid_of(lidar), None)
+            _shown.pop(scenarios.uid_of(lidar), None)
         return {"FINISHED"}
 
 

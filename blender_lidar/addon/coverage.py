@@ -13,7 +13,7 @@ from ..casting.protocol import StandingScenery
 from ..errors import InputError
 from ..metrics.surface_cells import cells_with_points, surface_cells
 from ..world.blender.site import is_own, scanned, visible_triangles
-from . import operators, panels, properties, session
+from . import operators, panels, properties, scenarios, session
 
 _TEXT = "LiDAR coverage.csv"
 
@@ -41,7 +41,7 @@ class BLENDER_LIDAR_OT_coverage(operators.NeedsLidar, bpy.types.Operator):
             raise InputError("no object with faces is selected and visible; allowed: objects of your own")
         rest = visible_triangles(scene, lambda *of: is_chosen(*of) or not wanted(*of), layer=layer)
         mine.label[:] = 0
-        cells, found = surface_cells(mine.corners, edge_m), session.lidars_of(scene)
+        cells, found = surface_cells(mine.corners, edge_m), scenarios.lidars_of(scene)
         caster, manager = resolve(scene.blender_lidar.model.caster, "caster"), context.window_manager
         standing = [StandingScenery(part, caster) for part in (mine, rest) if len(part)]
         seen, points = np.zeros((len(found) + 1, len(cells)), bool), []

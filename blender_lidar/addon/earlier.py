@@ -3,7 +3,7 @@
 import bpy
 
 from ..world.blender.objects import EARLIER_KEY, KEY, lidars
-from . import operators, properties, session
+from . import operators, properties, scenarios
 
 _SETTINGS = "lidar"  # custom property then
 # Models in the order that their numbers were in.
@@ -34,7 +34,7 @@ def migrate() -> None:
         old = old.to_dict() if hasattr(old, "to_dict") else {}
         if isinstance(old.get("active"), str):
             scene.blender_lidar.active = scene.objects.get(old["active"])
-        session.keep_lidars(scene, lidars(scene))
+        scenarios.keep_lidars(scene, lidars(scene))
         if "frame" in old and old.get("loaded"):  # which was the clock
             scene.blender_lidar.known_frame = old["frame"]
             operators.show_loaded(scene)  # its road had no parts that can be hidden

@@ -10,7 +10,7 @@ from mathutils import Matrix, Vector
 
 from ..errors import BlenderLidarError
 from ..world.blender.objects import frame_of
-from . import properties, session
+from . import properties, scenarios
 
 _COLOURS = {"height_m": (0.3, 0.6, 1.0), "tilt_x_deg": (1.0, 0.3, 0.3), "range_gate_m": (1.0, 0.8, 0.2)}
 _LEAST = {"height_m": 0.0, "range_gate_m": 0.1}  # a range gate of 0 is the model's own range
@@ -19,16 +19,16 @@ _changed_at = 0.0
 
 
 def _value(key):
-    lidar = session.active_lidar(bpy.context.scene)
+    lidar = scenarios.active_lidar(bpy.context.scene)
     if lidar is None:  # deleted in a drag
         return 0.0
     value = getattr(lidar.blender_lidar, key)
-    return value or session.sensor_of(lidar).range_gate_m if key == "range_gate_m" else value
+    return value or scenarios.sensor_of(lidar).range_gate_m if key == "range_gate_m" else value
 
 
 def _set(key, value):
     global _changed_at
-    lidar = session.active_lidar(bpy.context.scene)
+    lidar = scenarios.active_lidar(bpy.context.scene)
     if lidar is not None:
         setattr(lidar.blender_lidar, key, max(value, _LEAST.get(key, value)))
     _changed_at = time.monotonic()
@@ -54,11 +54,11 @@ class BLENDER_LIDAR_GGT_lidar(bpy.types.GizmoGroup):
     @classmethod
     def poll(cls, context):
         """Whether a LiDAR of this file is selected and can be changed."""
-        lidar = session.active_lidar(context.scene)
+        lidar = scenarios.active_lidar(context.scene)
         if lidar is None or lidar.library is not None or not lidar.select_get():
             return False
         try:
-            properties.mounting_of(lidar), session.sensor_of(lidar)
+            properties.mounting_of(lidar), scenarios.sensor_of(lidar)
         except BlenderLidarError:
             return False
         return True
@@ -75,7 +75,7 @@ class BLENDER_LIDAR_GGT_lidar(bpy.types.GizmoGroup):
 
     def draw_prepare(self, context):
         """Place them: in the mast's frame x is to the right of y, where the mast faces, and z is plumb."""
-        lidar = session.active_lidar(context.scene)
+        lidar = scenarios.active_lidar(context.scene)
         frame, mounting = frame_of(context.scene), properties.mounting_of(lidar)
         turn = Matrix.Rotation(mounting.mast.facing_rad - math.pi / 2, 4, "Z")
         turn = (frame.matrix_world.to_3x3().normalized().to_4x4() if frame else Matrix()) @ turn

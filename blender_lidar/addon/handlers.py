@@ -6,7 +6,7 @@ from bpy.app.handlers import persistent
 from ..errors import BlenderLidarError, one_line
 from ..world.blender.objects import frame_of, holds, is_lidar, lidars
 from ..world.blender.road import show_ground
-from . import earlier, operators, properties, session
+from . import earlier, operators, properties, scenarios, session
 
 classes = ()
 _failed: set[str] = set()  # scenes that could not be taken over, which is not tried again at every update
@@ -31,7 +31,7 @@ def on_history(*_) -> None:
     _failed.clear()
     for scene in bpy.data.scenes:
         if scene.library is None:
-            session.keep_lidars(scene, lidars(scene))
+            scenarios.keep_lidars(scene, lidars(scene))
     _at_next(adopt_all)
 
 
@@ -47,10 +47,10 @@ def on_update(scene, depsgraph=None, *_) -> None:
     new = {item.original for item in ids if isinstance(item, bpy.types.Object) and is_lidar(item)} - known
     new = {one for one in new if holds(scene, one)}
     if new:
-        session.keep_lidars(scene, known - {None} | new)
-    own = any(one is not None and one.library is None for one in known | new) and session.has_road(scene)
+        scenarios.keep_lidars(scene, known - {None} | new)
+    own = any(one is not None and one.library is None for one in known | new) and scenarios.has_road(scene)
     gone = any(one is None or not holds(scene, one) for one in known)
-    if (new or gone or (own and frame_of(scene) is None)) and session.uid_of(scene) not in _failed:
+    if (new or gone or (own and frame_of(scene) is None)) and scenarios.uid_of(scene) not in _failed:
         _at_next(adopt_all)
     if depsgraph is not None and operators.is_clicked(depsgraph.view_layer.objects.active):
         _at_next(_select_wearers)
@@ -75,7 +75,7 @@ def adopt_all() -> None:
         try:
             operators.adopt(scene)
         except Exception as error:  # no operator is there to report it
-            _failed.add(session.uid_of(scene))
+            _failed.add(scenarios.uid_of(scene))
             properties.tell(scene, one_line(str(error)))
 
 
@@ -91,14 +91,14 @@ def on_change(block: bpy.types.ID, table: str) -> None:
     problem = ""
     try:
         if table == "world":
-            show_ground(scene, session.view_layer_of(scene), shown=scene.blender_lidar.world.ground)
+            show_ground(scene, scenarios.view_layer_of(scene), shown=scene.blender_lidar.world.ground)
         if table in ("clock", "world") and scene.blender_lidar.loaded:
             session.show_traffic(scene, again=table == "world")
         elif table == "road":
             properties.hang_again(scene)
         elif table == "sensor" and block != scene:
-            session.show_model(block)
-            operators.dress(block, operators.lattice_of(session.sensor_of(block)))
+            scenarios.show_model(block)
+            operators.dress(block, operators.lattice_of(scenarios.sensor_of(block)))
     except BlenderLidarError as error:
         problem = str(error)
     properties.tell(scene, problem)

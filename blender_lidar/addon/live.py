@@ -26,7 +26,7 @@ from ..traffic.vehicles import Vehicles
 from ..world.blender.objects import check_local, frame_of
 from ..world.blender.points import STYLES, cloud_of, colours_by, colours_of, set_look, set_style, show_cloud
 from ..world.blender.preview import VisibleObjects
-from . import properties, session
+from . import properties, scenarios, session
 from .preferences import preference
 
 classes = ()
@@ -91,13 +91,13 @@ def update(graph: bpy.types.Depsgraph | None = None) -> None:
     live = {}
     for scene, layer in _open_scenes():
         mine = _live_in(scene)
-        live |= {session.uid_of(lidar): lidar for lidar in mine}
+        live |= {scenarios.uid_of(lidar): lidar for lidar in mine}
         if not mine:
-            _state.boxes.pop(session.uid_of(scene), None)
+            _state.boxes.pop(scenarios.uid_of(scene), None)
             continue
-        objects = _state.objects.get(session.uid_of(scene))
+        objects = _state.objects.get(scenarios.uid_of(scene))
         if objects is None:
-            objects = _state.objects[session.uid_of(scene)] = VisibleObjects()
+            objects = _state.objects[scenarios.uid_of(scene)] = VisibleObjects()
         try:
             if graph is None:
                 _read_bodies(scene)
@@ -109,7 +109,7 @@ def update(graph: bpy.types.Depsgraph | None = None) -> None:
             continue
         problems, moved = [], False
         for lidar in mine:
-            shown = _state.shown.setdefault(session.uid_of(lidar), _Shown())
+            shown = _state.shown.setdefault(scenarios.uid_of(lidar), _Shown())
             try:
                 if _update_one(scene, lidar, shown, objects, graph):
                     shown.problem, moved = "", True
@@ -120,7 +120,7 @@ def update(graph: bpy.types.Depsgraph | None = None) -> None:
             redraw()
             try:
                 _update_layout(
-                    scene, next((session.layout_of(scene, one) for one in mine if one.blender_lidar.in_layout), [])
+                    scene, next((scenarios.layout_of(scene, one) for one in mine if one.blender_lidar.in_layout), [])
                 )
             except BlenderLidarError as error:
                 problems.append(one_line(str(error)))
@@ -134,8 +134,8 @@ def update(graph: bpy.types.Depsgraph | None = None) -> None:
 
 def _read_bodies(scene):
     """Read vehicles' own bodies again, where one was edited."""
-    if session.uid_of(scene) in _state.reshaped:
-        _state.reshaped.discard(session.uid_of(scene))
+    if scenarios.uid_of(scene) in _state.reshaped:
+        _state.reshaped.discard(scenarios.uid_of(scene))
         session.bodies_shown(scene, again=True)
         for shown in _state.shown.values():
             shown.seen = shown.frame = None
@@ -143,7 +143,7 @@ def _read_bodies(scene):
 
 def _live_in(scene):
     """The LiDARs of a scene that are looked at: those that are live, and all of a layout of which one is."""
-    found = session.lidars_of(scene)
+    found = scenarios.lidars_of(scene)
     together = any(lidar.blender_lidar.live and lidar.blender_lidar.in_layout for lidar in found)
     return [one for one in found if one.blender_lidar.live or (together and one.blender_lidar.in_layout)]
 
@@ -167,9 +167,9 @@ def _update_one(scene, lidar, shown, objects, graph) -> bool:
     shown.seen = now
     if shown.frame is None or shown.since_s != since_s or session.dragged_off(lidar, mounting):
         shown.frame, shown.since_s = session.live_frame(scene, lidar, depsgraph=graph), since_s
-        shown.scenario, shown.baseline = session.scenario_from(scene, lidar), None
+        shown.scenario, shown.baseline = scenarios.scenario_from(scene, lidar), None
     frame, vehicles = shown.frame, shown.frame.frame.vehicles
-    if session.has_road(scene):
+    if scenarios.has_road(scene):
         check_mount_is_clear(shown.scenario, [vehicles], {lidar.name: mounting})
     if shown.baseline is None:
         shown.baseline = frame.look(shown.scenario.baseline.pose, [objects]) if frame.scoring else None
@@ -178,14 +178,14 @@ def _update_one(scene, lidar, shown, objects, graph) -> bool:
     shown.colours = colours_by(group.colour_by, vertices_of(look.cloud, vehicles, shown.bits))
     shown.batch = None
     session.store(lidar, vehicles, look, shown.baseline or look)
-    if lidar == session.active_lidar(scene):
-        _state.boxes[session.uid_of(scene)] = _Boxes(vehicles, shown.bits)
+    if lidar == scenarios.active_lidar(scene):
+        _state.boxes[scenarios.uid_of(scene)] = _Boxes(vehicles, shown.bits)
     return True
 
 
 def _update_layout(scene, hung) -> None:
     """Fuse what the LiDARs of a layout have looked at last; nothing is said of it while one of them cannot look."""
-    shown = [_state.shown[session.uid_of(one)] for one in hung]
+    shown = [_state.shown[scenarios.uid_of(one)] for one in hung]
     if scene.blender_lidar.fused:
         scene.blender_lidar.fused = ""
     if len(shown) < 2 or any(one.problem for one in shown):
@@ -193,10 +193,10 @@ def _update_layout(scene, hung) -> None:
     looks = [(one.look, one.baseline or one.look) for one in shown]
     cloud = joined_clouds([one.look.cloud for one in shown])
     session.store_layout(scene, hung, [one.frame for one in shown], looks)
-    if session.active_lidar(scene) in hung:
+    if scenarios.active_lidar(scene) in hung:
         vehicles = shown[0].frame.frame.vehicles
         bits = entropy_of_vehicles(cloud, vehicles, shown[0].scenario.objective)
-        _state.boxes[session.uid_of(scene)] = _Boxes(vehicles, bits)
+        _state.boxes[scenarios.uid_of(scene)] = _Boxes(vehicles, bits)
 
 
 # --- Blender's own points: hidden while live, and current whenever they are shown -------------------------------------
@@ -225,9 +225,9 @@ def write_clouds(graph: bpy.types.Depsgraph | None = None) -> None:
 def _looked_at():
     """LiDARs that are live, with a view layer that shows them and what is kept of each."""
     for scene, layer in _open_scenes():
-        for lidar in session.lidars_of(scene):
-            if lidar.library is None and session.uid_of(lidar) in _state.shown:
-                yield lidar, layer, _state.shown[session.uid_of(lidar)]
+        for lidar in scenarios.lidars_of(scene):
+            if lidar.library is None and scenarios.uid_of(lidar) in _state.shown:
+                yield lidar, layer, _state.shown[scenarios.uid_of(lidar)]
 
 
 def _cloud(lidar, shown):
@@ -250,7 +250,7 @@ def _write(lidar, shown, graph=None):
 def _end(key: str) -> None:
     """Let Blender's own points stand for what was drawn last."""
     for lidar, layer, shown in _looked_at():
-        if session.uid_of(lidar) == key:
+        if scenarios.uid_of(lidar) == key:
             _hide(_write(lidar, shown), layer, hidden=False)
     del _state.shown[key]
     redraw()
@@ -318,8 +318,8 @@ def _draw() -> None:
     gpu.matrix.push()
     if frame is not None:
         gpu.matrix.multiply_matrix(frame.matrix_world)
-    for lidar in session.lidars_of(scene):
-        shown = _state.shown.get(session.uid_of(lidar))
+    for lidar in scenarios.lidars_of(scene):
+        shown = _state.shown.get(scenarios.uid_of(lidar))
         if shown is None or shown.look is None or shown.problem or not lidar.visible_get():
             continue
         if shown.batch is None:
@@ -329,7 +329,7 @@ def _draw() -> None:
         if bpy.app.version >= _OWN_POINTS:
             shader.uniform_float("size", size)
         shown.batch.draw(shader)
-    _draw_boxes(_state.boxes.get(session.uid_of(scene)), scale)
+    _draw_boxes(_state.boxes.get(scenarios.uid_of(scene)), scale)
     gpu.matrix.pop()
     gpu.state.point_size_set(1.0)
     gpu.state.depth_test_set("NONE")
@@ -339,8 +339,8 @@ def _draw_score() -> None:
     """Write the score of the active LiDAR, where it is live, into the view."""
     import blf
 
-    lidar = session.active_lidar(bpy.context.scene)
-    shown = None if lidar is None else _state.shown.get(session.uid_of(lidar))
+    lidar = scenarios.active_lidar(bpy.context.scene)
+    shown = None if lidar is None else _state.shown.get(scenarios.uid_of(lidar))
     if shown is None or shown.look is None or not bpy.context.space_data.overlay.show_overlays:
         return
     group, text = lidar.blender_lidar, shown.problem
@@ -422,10 +422,10 @@ def _note_updates(depsgraph):
     for objects in _state.objects.values():
         objects.note_updates(depsgraph.updates)
     scene = depsgraph.scene.original
-    if session.uid_of(scene) in _state.objects:  # not that in which bodies are read
+    if scenarios.uid_of(scene) in _state.objects:  # not that in which bodies are read
         changed = {one.id.original for one in depsgraph.updates if one.is_updated_geometry}
         if any(changed & set(of.all_objects) for of in session.chosen_bodies(scene).values()):
-            _state.reshaped.add(session.uid_of(scene))
+            _state.reshaped.add(scenarios.uid_of(scene))
 
 
 @persistent

@@ -51,7 +51,7 @@ from ..world.blender.road import build_road, show_ground
 from ..world.blender.site import is_own, open_scenery
 from ..world.blender.traffic import show_recording
 from ..world.scenery import Scenery
-from . import live, properties, session
+from . import live, properties, scenarios, session
 from .preferences import preference
 
 _CLOUDS = [name for name in CLOUD_SUFFIXES if name not in (".las", ".laz") or find_spec("laspy")]
@@ -82,7 +82,7 @@ class NeedsLidar:
     @classmethod
     def poll(cls, context):
         """Whether there are."""
-        missing = "Add a LiDAR first: Add > LiDAR" if session.active_lidar(context.scene) is None else ""
+        missing = "Add a LiDAR first: Add > LiDAR" if scenarios.active_lidar(context.scene) is None else ""
         if cls.of_traffic and not context.scene.blender_lidar.loaded:
             missing = "Load traffic first: the LiDAR tab of the sidebar, Traffic"
         if missing and issubclass(cls, bpy.types.Operator):
@@ -96,13 +96,13 @@ class NeedsLidar:
 def show_site(scene: bpy.types.Scene, recording: Recording, frame: int, scenery: Scenery | None) -> None:
     """Show the road, what a scene file has standing there, and the frame of a recording nearest to a number."""
     group = scene.blender_lidar
-    scenario = session.scenario_from(scene)
+    scenario = scenarios.scenario_from(scene)
     reach = max(_LEAST_REACH_M, scenario.sensor.range_gate_m)
     bare = frame_of(scene) is None
     build_road(scene, scenario.road_map, scenario.deployment.nominal_xy, reach)
     for lidar in [one for one in lidars(scene) if bare and one.library is None]:  # which has no pole yet
-        dress(lidar, lattice_of(session.sensor_of(lidar)))
-    show_ground(scene, session.view_layer_of(scene), shown=scene.blender_lidar.world.ground)
+        dress(lidar, lattice_of(scenarios.sensor_of(lidar)))
+    show_ground(scene, scenarios.view_layer_of(scene), shown=scene.blender_lidar.world.ground)
     build_scenery(scene, scenery)
     for item in collection(scene, "Scenery", STANDING).objects:
         item.hide_select = True  # it shows what the file says; moving it would move nothing that is scanned
@@ -114,7 +114,7 @@ def show_site(scene: bpy.types.Scene, recording: Recording, frame: int, scenery:
 
 def show_loaded(scene: bpy.types.Scene) -> Recording:
     """Read a scene's traffic as its fields say, and show it with its road."""
-    scenery = _standing(session.scenario_from(scene, session.active_lidar(scene)))
+    scenery = _standing(scenarios.scenario_from(scene, scenarios.active_lidar(scene)))
     recording = session.recording_of(scene)
     show_site(scene, recording, scene.blender_lidar.known_frame, scenery)
     return recording
@@ -134,8 +134,8 @@ class BLENDER_LIDAR_OT_load(bpy.types.Operator):
             return _fill_from_file(self, context, path)
         scene.blender_lidar.clip &= path.name == session.CLIP[0]
         recording = show_loaded(scene)
-        if (lidar := session.active_lidar(scene)) is not None:
-            session.select(context, lidar)
+        if (lidar := scenarios.active_lidar(scene)) is not None:
+            scenarios.select(context, lidar)
             live.frame_site(lidar, lidar.blender_lidar.range_gate_m)
         return _loaded(self, recording)
 
@@ -159,7 +159,7 @@ class BLENDER_LIDAR_OT_run_file(bpy.types.Operator):
     @one_line_errors
     def execute(self, context):
         """Take it as allowed, and take over what waited for it."""
-        session.trust(Path(self.filepath))
+        scenarios.trust(Path(self.filepath))
         for scene in bpy.data.scenes:
             scene.blender_lidar.problem = ""
             adopt(scene)
@@ -186,28 +186,28 @@ class BLENDER_LIDAR_OT_load_example(bpy.types.Operator):
 def _fill_from_file(operator, context, path, *, clip=False):
     """Fill the panel with a scene file's settings, show its traffic, and let LiDARs hang there that are not there."""
     scene = context.scene
-    session.check_unit(scene)
+    scenarios.check_unit(scene)
     tables, folder = read_toml(path), str(path.resolve().parent)
-    session.check_trusted(tables, folder)
+    scenarios.check_trusted(tables, folder)
     scenario = load_scenario(path)
     recordings, scenery = read_recordings(session.with_clip(scenario, clip)), _standing(scenario)
     scene.blender_lidar.clip = clip
-    session.fill_scene(scene, tables, folder, scenario)
+    scenarios.fill_scene(scene, tables, folder, scenario)
     properties.hang_again(scene)
     there, taken = {one.name: one for one in lidars(scene) if one.library is None}, set()
     for one in there.values() if scenario.lidar_name else ():
         one.blender_lidar.in_layout = False
     for number, one in enumerate(scenario.each):
-        found = there.get(one.lidar_name) if one.lidar_name else session.active_lidar(scene)
+        found = there.get(one.lidar_name) if one.lidar_name else scenarios.active_lidar(scene)
         if found is None or found.library is not None:  # a new one as the file says, each on a pole of its own
             places = [place.fixed for place in one.deployment.places]
             fixed = next((of for of in places if (of.get("x_m"), of.get("y_m")) not in taken), places[0])
             taken.add((fixed.get("x_m"), fixed.get("y_m")))
             pose = changed_mounting(one.baseline, one.road_map, **fixed).pose
             found = add_lidar(scene, pose, one.lidar_name or "LiDAR")
-        session.fill_lidar(found, tables, folder, scenario, number)
+        scenarios.fill_lidar(found, tables, folder, scenario, number)
         dress(found, lattice_of(one.sensor))
-    session.select(context, session.layout_of(scene, found)[0])
+    scenarios.select(context, scenarios.layout_of(scene, found)[0])
     live.frame_site(context.view_layer.objects.active, scenario.sensor.range_gate_m)
     recording = session.keep(scene, recordings)
     ids, frames = scenario.traffic.frame_ids, recording.frames
@@ -254,7 +254,7 @@ def add_lidar(scene: bpy.types.Scene, pose: Pose, name: str = "LiDAR") -> bpy.ty
     """A new LiDAR at a mounting, dressed, with the usual sensor."""
     lidar = new_lidar(scene, pose, name)
     lidar.blender_lidar.schema = properties.SCHEMA
-    dress(lidar, lattice_of(session.sensor_of(lidar)))
+    dress(lidar, lattice_of(scenarios.sensor_of(lidar)))
     scene.blender_lidar.lidars.add().lidar = scene.blender_lidar.active = lidar
     return lidar
 
@@ -285,12 +285,12 @@ class BLENDER_LIDAR_OT_add(bpy.types.Operator):
     def execute(self, context):
         """Add it, selected."""
         scene = context.scene
-        session.check_unit(scene)
+        scenarios.check_unit(scene)
         into = collection(scene, "LiDAR", SENSOR)
         if not _shows(context.view_layer.layer_collection, into):
             raise InputError(f"collection {into.name} is excluded from this view layer; tick it in the Outliner")
         x, y, z = scene.cursor.location
-        if session.has_road(scene):
+        if scenarios.has_road(scene):
             x, y, z, _ = to_road(scene) @ [x, y, z, 1.0]
             z = max(z, properties.exact(scene.blender_lidar.baseline.height_m))
         else:
@@ -304,7 +304,7 @@ class BLENDER_LIDAR_OT_add(bpy.types.Operator):
         if scene.blender_lidar.schema == 0 and not scene.blender_lidar.model.is_property_set("caster"):
             scene.blender_lidar.model.caster = preference("caster")
         lidar.blender_lidar.name_ = self.model
-        session.select(context, lidar)
+        scenarios.select(context, lidar)
         lidar.blender_lidar.live = self.live
         return {"FINISHED"}
 
@@ -335,22 +335,22 @@ def adopt(scene: bpy.types.Scene) -> None:
     if scene.library is not None:
         return
     remove_orphans(scene)
-    session.keep_lidars(scene, lidars(scene))
+    scenarios.keep_lidars(scene, lidars(scene))
     stored = scene.get(SETTINGS)
     if stored and scene.blender_lidar.schema == 0:
         _fill_from(scene)
     here = [one for one in lidars(scene) if one.library is None]
-    found, carried = here, frame_of(scene) is not None or not session.has_road(scene)
+    found, carried = here, frame_of(scene) is not None or not scenarios.has_road(scene)
     if found and not carried:
         road_frame(scene)
     for lidar in found:
         if lidar.blender_lidar.schema == 0:
             if SETTINGS in lidar:
-                session.fill_lidar(lidar, *_stored(lidar), json.loads(lidar[SETTINGS]).get("number", 0))
+                scenarios.fill_lidar(lidar, *_stored(lidar), json.loads(lidar[SETTINGS]).get("number", 0))
             lidar.blender_lidar.schema = properties.SCHEMA
         parts = [child for child in lidar.children if role(child) == PART]
         if not carried or not parts or parts[0].hide_select:  # as in files of before
-            dress(lidar, lattice_of(session.sensor_of(lidar)))
+            dress(lidar, lattice_of(scenarios.sensor_of(lidar)))
 
 
 def _stored(block):
@@ -360,7 +360,7 @@ def _stored(block):
     except (TypeError, ValueError) as error:
         raise InputError(f"{block.name}: its property {SETTINGS} is damaged: {error}") from error
     tables = {name: table for name, table in tables.items() if name in properties.DECLARED}
-    session.check_trusted(tables, "")
+    scenarios.check_trusted(tables, "")
     return tables, "", scenario_of(tables, source=f"scene {block.name}")
 
 
@@ -368,7 +368,7 @@ def _fill_from(scene):
     """Take over what `build` wrote into a scene: its settings and the frame that it shows."""
     group, stored = scene.blender_lidar, _stored(scene)
     with properties.silently():  # its LiDARs hang beside that road already
-        session.fill_scene(scene, *stored)
+        scenarios.fill_scene(scene, *stored)
         properties.hang_as_they_are(scene)
         traffic = stored[-1].traffic
         told = json.loads(scene[SETTINGS])
@@ -381,9 +381,9 @@ def _fill_from(scene):
 
 def checked_mount(scene: bpy.types.Scene, lidar: bpy.types.Object) -> tuple[Scenario, Mounting, Vehicles]:
     """The settings of a LiDAR, how it hangs, and the frame that is shown, in which it hangs clear."""
-    scenario, mounting = session.scenario_from(scene, lidar), properties.mounting_of(lidar)
+    scenario, mounting = scenarios.scenario_from(scene, lidar), properties.mounting_of(lidar)
     vehicles = session.vehicles_of(scene)
-    if session.has_road(scene):
+    if scenarios.has_road(scene):
         check_mount_is_clear(scenario, [vehicles], {lidar.name: mounting})
     return scenario, mounting, vehicles
 
@@ -397,7 +397,7 @@ class BLENDER_LIDAR_OT_scan(NeedsLidar, bpy.types.Operator):
     def execute(self, context):
         """Scan exactly, check the place, and show the cloud."""
         scene = context.scene
-        hung, frames, looks, told = session.layout_of(scene, session.active_lidar(scene)), [], [], []
+        hung, frames, looks, told = scenarios.layout_of(scene, scenarios.active_lidar(scene)), [], [], []
         checked = [checked_mount(scene, one) for one in hung]
         for lidar, (scenario, mounting, _) in zip(hung, checked, strict=True):
             frames.append(session.live_frame(scene, lidar, exact=True))
@@ -427,7 +427,7 @@ class BLENDER_LIDAR_OT_set_baseline(NeedsLidar, bpy.types.Operator):
     @one_line_errors
     def execute(self, context):
         """Take the pose over."""
-        lidar = session.active_lidar(context.scene)
+        lidar = scenarios.active_lidar(context.scene)
         mounting = properties.mounting_of(lidar)
         if lidar.blender_lidar.in_layout or lidar.blender_lidar.baseline:
             lidar.blender_lidar.baseline = json.dumps(mounting.as_table())
@@ -441,9 +441,9 @@ class BLENDER_LIDAR_OT_set_baseline(NeedsLidar, bpy.types.Operator):
 
 def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Vehicles]:
     """The active LiDAR as the command line's `scan` has it, and the frame that is shown."""
-    lidar = session.active_lidar(scene)
-    vehicles, hung = checked_mount(scene, lidar)[-1], session.layout_of(scene, lidar)
-    whole, layout = session.layout_scenario(scene, hung), tuple(map(properties.mounting_of, hung))
+    lidar = scenarios.active_lidar(scene)
+    vehicles, hung = checked_mount(scene, lidar)[-1], scenarios.layout_of(scene, lidar)
+    whole, layout = scenarios.layout_scenario(scene, hung), tuple(map(properties.mounting_of, hung))
     sensors = mounted_sensors(
         whole, layout, open_scenery(scene, bpy.context.view_layer), session.own_bodies(scene, again=True)
     )
@@ -511,12 +511,12 @@ class BLENDER_LIDAR_OT_export_run(NeedsLidar, FolderHelper, bpy.types.Operator):
     def execute(self, context):
         """Evaluate the mounting."""
         scene = context.scene
-        hung = session.layout_of(scene, session.active_lidar(scene))
+        hung = scenarios.layout_of(scene, scenarios.active_lidar(scene))
         layout = tuple(map(properties.mounting_of, hung))
         session.check_traffic_is_shown(scene)
         check_unused(Path(self.directory), "folder", "run")
         objects = open_scenery(scene, context.view_layer)
-        scenario, recordings = session.layout_scenario(scene, hung), session.recordings_of(scene)
+        scenario, recordings = scenarios.layout_scenario(scene, hung), session.recordings_of(scene)
         bodies = session.own_bodies(scene, again=True)
         site = prepare(scenario, layout, scenery=objects, recordings=recordings, bodies=bodies)
         with RunFolder(self.directory).locked() as folder:

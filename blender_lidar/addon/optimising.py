@@ -41,7 +41,7 @@ from ..scene.settings import DECLARED
 from ..world.blender.objects import check_free, hang
 from ..world.blender.site import open_scenery
 from ..world.scenery import Scenery
-from . import live, operators, panels, properties, session
+from . import live, operators, panels, properties, scenarios, session
 from .preferences import runs_folder
 
 _EVERY_S = 0.05  # between two looks at how far it is
@@ -236,7 +236,7 @@ _warming: list[subprocess.Popen] = []
 
 def job_of(lidar: bpy.types.Object) -> Optimisation | None:
     """What is being optimised for a LiDAR."""
-    return _jobs.get(session.uid_of(lidar))
+    return _jobs.get(scenarios.uid_of(lidar))
 
 
 def begin(scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object, *, alone: bool = False) -> Optimisation:
@@ -247,10 +247,10 @@ def begin(scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object, *, alone: 
     BlenderLidarError
         For fields that cannot be used, or where no coordinate is searched.
     """
-    hung = session.layout_of(scene, lidar)
+    hung = scenarios.layout_of(scene, lidar)
     held = [one for one in hung if alone and one != lidar]
     session.check_traffic_is_shown(scene)
-    scenario = session.layout_scenario(scene, hung, here=False, held=held)
+    scenario = scenarios.layout_scenario(scene, hung, here=False, held=held)
     several, spaces = scenario.further_lidars, scenario.deployment.spaces
     if all(one.is_held for one in scenario.lidars) if several else not all(space.variables for space in spaces):
         raise InputError("LiDAR panel: Optimize: every coordinate is fixed; switch at least one on")
@@ -283,13 +283,13 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsLidar, bpy.types.Operator):
     @operators.one_line_errors
     def execute(self, context):
         """Search and wait for the end, as scripts do."""
-        lidar = session.active_lidar(context.scene)
+        lidar = scenarios.active_lidar(context.scene)
         job = begin(context.scene, context.view_layer, lidar, alone=self.alone)
         try:
             job.wait()
         except KeyboardInterrupt:
             job.stop()
-        return self._ended(session.layout_of(context.scene, lidar), job)
+        return self._ended(scenarios.layout_of(context.scene, lidar), job)
 
     def invoke(self, context, event):
         """Search while the window stays free."""
@@ -297,12 +297,12 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsLidar, bpy.types.Operator):
 
     @operators.one_line_errors
     def _begun(self, context):
-        lidar = session.active_lidar(context.scene)
-        hung = session.layout_of(context.scene, lidar)
+        lidar = scenarios.active_lidar(context.scene)
+        hung = scenarios.layout_of(context.scene, lidar)
         if busy := next((one for one in hung if job_of(one) is not None), None):
             raise InputError(f"{busy.name}: is being optimized already; Cancel stops it")
         self._job = begin(context.scene, context.view_layer, lidar, alone=self.alone)
-        self._hung = [session.uid_of(one) for one in hung]
+        self._hung = [scenarios.uid_of(one) for one in hung]
         _jobs.update(dict.fromkeys(self._hung, self._job))
         self._timer = context.window_manager.event_timer_add(_EVERY_S, window=context.window)
         context.window_manager.progress_begin(0, 100)
@@ -323,7 +323,7 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsLidar, bpy.types.Operator):
         if self._job.problem == STOPPED:
             self.report({"INFO"}, "Optimization canceled")
             return {"CANCELLED"}
-        there = {session.uid_of(item): item for item in bpy.data.objects}
+        there = {scenarios.uid_of(item): item for item in bpy.data.objects}
         if not there.keys() >= set(self._hung):
             self._job.stop()
             self.report({"WARNING"}, "The LiDAR that was optimized is gone")
@@ -362,12 +362,12 @@ class BLENDER_LIDAR_OT_cancel(bpy.types.Operator):
     @classmethod
     def poll(cls, context):
         """Whether the active LiDAR is being optimized."""
-        lidar = session.active_lidar(context.scene)
+        lidar = scenarios.active_lidar(context.scene)
         return lidar is not None and job_of(lidar) is not None
 
     def execute(self, context):
         """Stop it; who looks how far it is finds it so."""
-        job_of(session.active_lidar(context.scene)).stop()
+        job_of(scenarios.active_lidar(context.scene)).stop()
         return {"FINISHED"}
 
 
@@ -393,7 +393,7 @@ class _NeedsFound:
     @classmethod
     def poll(cls, context):
         """Whether something was found."""
-        lidar = session.active_lidar(context.scene)
+        lidar = scenarios.active_lidar(context.scene)
         if lidar is None or not lidar.blender_lidar.found:
             cls.poll_message_set("Optimize first")
             return False
@@ -404,7 +404,7 @@ class _Hangs(_NeedsFound):
     @operators.one_line_errors
     def execute(self, context):
         """Hang it, and those that were optimised with it, and scan."""
-        lidar, there = session.active_lidar(context.scene), session.lidars_of(context.scene)
+        lidar, there = scenarios.active_lidar(context.scene), scenarios.lidars_of(context.scene)
         there = {one.name_full: one for one in there}
         places = found_of(lidar).get("places") or {lidar.name: found_of(lidar)}
         hung = [lidar] if len(places) == 1 else [there.get(name) for name in places]
@@ -439,7 +439,7 @@ class BLENDER_LIDAR_OT_open_report(_NeedsFound, bpy.types.Operator):
 
     def execute(self, context):
         """Open it."""
-        page = run_of(session.active_lidar(context.scene)) / "report.html"
+        page = run_of(scenarios.active_lidar(context.scene)) / "report.html"
         if not page.is_file():
             self.report({"ERROR"}, f"{page}: is gone; optimize again")
             return {"CANCELLED"}
@@ -488,7 +488,7 @@ class BLENDER_LIDAR_PT_optimize(panels.OfLidar, bpy.types.Panel):
             panels.say(layout, job.outlook if job.best is None else f"Best so far {job.best:.2f}. {job.outlook}")
             layout.operator("blender_lidar.cancel", icon="X", translate=False)
             return
-        together = len(session.layout_of(scene, lidar)) > 1
+        together = len(scenarios.layout_of(scene, lidar)) > 1
         for alone in (False, True) if together else (False,):
             text = f"Optimize {lidar.name if alone else 'Layout'}" if together else "Optimize"
             layout.operator("blender_lidar.optimize", text=text, icon="VIEWZOOM", translate=False).alone = alone

@@ -13,7 +13,7 @@ from ..scene.mounting import COORDINATES
 from ..traffic.vehicles import SAME_S
 from ..world.blender.objects import CLOUD, pose_of, role
 from ..world.blender.road import hidden_ground
-from . import operators, properties, session
+from . import operators, properties, scenarios, session
 
 _TAB = {"bl_space_type": "VIEW_3D", "bl_region_type": "UI", "bl_category": "LiDAR"}
 _LETTER, _FRAME, _ICON = 6.4, 38.0, 24.0  # widths of a letter, of margins, and of an icon [pixels at scale 1]
@@ -63,11 +63,11 @@ class BLENDER_LIDAR_PT_main(bpy.types.Panel):
         """Say what is wrong, and what to do first where nothing is loaded."""
         if context.scene.blender_lidar.problem:
             say(self.layout.box(), context.scene.blender_lidar.problem, icon="ERROR")
-        for path in session.untrusted(context.scene):
+        for path in scenarios.untrusted(context.scene):
             say(self.layout, f"This scene names {path}, Python code that has not been run.", icon="FILE_SCRIPT")
             run = self.layout.operator("blender_lidar.run_file", text=f"Run {path.name}", translate=False)
             run.filepath = str(path)
-        if session.active_lidar(context.scene) is None:
+        if scenarios.active_lidar(context.scene) is None:
             self.layout.operator("blender_lidar.add", text="Add LiDAR", icon="ADD", translate=False)
         if not context.scene.blender_lidar.loaded:
             say(self.layout, "Load traffic to score and optimize.", icon="INFO")
@@ -99,7 +99,7 @@ class BLENDER_LIDAR_PT_traffic(bpy.types.Panel):
             if group.clip:
                 say(layout, f"Optimize searches {session.CLIP[0]}, of the same simulation.")
         layout.prop(group.world, "detail", text="Vehicles", translate=False)
-        if session.has_road(context.scene):
+        if scenarios.has_road(context.scene):
             field(layout, group.world, "ground")
         hidden = ", ".join(hidden_ground(context.scene, context.view_layer))
         if hidden:
@@ -117,7 +117,7 @@ class BLENDER_LIDAR_PT_road(bpy.types.Panel):
         rows(layout, group.road, *properties.TABLES["road"])
         rows(layout, group.traffic, "format", "period", "origin_m", "heading_deg", "time_step_s")
         field(layout, group.world, "variety")
-        lines = session.without_field(context.scene, session.active_lidar(context.scene))
+        lines = scenarios.without_field(context.scene, scenarios.active_lidar(context.scene))
         region = properties.kept_of(group).tables.get("region", {})
         if not (region.get("polygon_m") or region.get("stretches")):
             say(layout, "Vehicles count within")
@@ -134,7 +134,7 @@ class OfLidar(operators.NeedsLidar):
     def draw(self, context):
         """What the panel has for the active LiDAR."""
         self.layout.use_property_split, self.layout.use_property_decorate = True, False
-        self.draw_for(self.layout, context.scene, session.active_lidar(context.scene))
+        self.draw_for(self.layout, context.scene, scenarios.active_lidar(context.scene))
 
 
 class BLENDER_LIDAR_UL_lidars(bpy.types.UIList):
@@ -235,7 +235,7 @@ def worth_lines(now: tuple[float, float], base: tuple[float, float], vehicles: i
 
 def fused_lines(scene: bpy.types.Scene, lidar: bpy.types.Object) -> list[str]:
     """What the layout of a LiDAR is worth together, in short lines; none where it hangs alone."""
-    hung, told = session.layout_of(scene, lidar), json.loads(scene.blender_lidar.fused or "{}")
+    hung, told = scenarios.layout_of(scene, lidar), json.loads(scene.blender_lidar.fused or "{}")
     if told.get("lidars") != [one.name_full for one in hung]:
         return []
     alone = ", ".join(f"{one.name} {100 * one.blender_lidar.detectable_share:.0f} %" for one in hung)

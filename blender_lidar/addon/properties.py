@@ -298,20 +298,26 @@ def _session():
     return session
 
 
+def _scenarios():
+    from . import scenarios  # likewise
+
+    return scenarios
+
+
 class BLENDER_LIDAR_PG_pointer(bpy.types.PropertyGroup):
-    """One of a scene's LiDARs, kept so that no other objects need to be looked at: see `session.lidars_of`."""
+    """One of a scene's LiDARs, kept so that no other objects need to be looked at: see `scenarios.lidars_of`."""
 
     lidar: PointerProperty(type=bpy.types.Object)
 
 
 def _chosen_row(group):
-    active = _session().active_lidar(group.id_data)
+    active = _scenarios().active_lidar(group.id_data)
     return next((number for number, row in enumerate(group.lidars) if row.lidar == active), -1)
 
 
 def _choose_row(group, index):
     group.active = group.lidars[index].lidar
-    _session().select(bpy.context, group.active)
+    _scenarios().select(bpy.context, group.active)
 
 
 class BLENDER_LIDAR_PG_scene(bpy.types.PropertyGroup):

@@ -196,7 +196,7 @@ def taxed(asked):
     """A case: what a large scene without a LiDAR pays, for each update or each redraw."""
 
     def steps(_):
-        from blender_lidar.addon import session
+        from blender_lidar.addon import scenarios
 
         scene, layer, paid = bpy.context.scene, bpy.context.view_layer, []
         for number in range(20_000):
@@ -209,7 +209,7 @@ def taxed(asked):
         yield
         for step in range(10_000):
             if asked:
-                yield clocked(lambda: session.active_lidar(scene))
+                yield clocked(lambda: scenarios.active_lidar(scene))
             else:
                 scene.objects[0].location.x = step + 1.0
                 layer.update()
