@@ -11,12 +11,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_lidar.addon import live, optimising, panels, properties, scenarios, session
+from blender_lidar.addon import live, optimising, panels, properties, scenarios
 from blender_lidar.clouds.live import LiveFrame
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import optimise_site
 from blender_lidar.scene.mounting import COORDINATES
-from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.scenario import load_scenario, scenario_of
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.toml_table import read_toml, to_toml
@@ -69,7 +69,7 @@ def told() -> dict:
 def of_the_run(scenario, *layouts):
     """What layouts are worth on the frame that is shown, as a run scores it: objective and detectable share."""
     frame = bpy.context.scene.blender_lidar.frame
-    scenario = session.scenario_of(
+    scenario = scenario_of(
         scenario.with_whole_paths(),
         overrides={("traffic", "frame_ids"): ((frame,), "test"), ("traffic", "holdout"): (0.0, "test")},
     )

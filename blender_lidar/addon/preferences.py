@@ -65,7 +65,7 @@ class BLENDER_LIDAR_OT_add_preset(AddPresetBase, bpy.types.Operator):
     bl_idname, bl_label, preset_menu = "blender_lidar.add_preset", "Add Sensor Preset", "BLENDER_LIDAR_MT_presets"
     preset_defines = (
         "import importlib",
-        f"lidar = importlib.import_module({f'{__package__}.session'!r}).active_lidar(bpy.context.scene).blender_lidar",
+        f"lidar = importlib.import_module('{__package__}.scenarios').active_lidar(bpy.context.scene).blender_lidar",
     )
     preset_values = tuple(f"lidar.{key}" for key in ("name_", "table_path", "datasheet", *properties.SENSOR))
     preset_subdir = _PRESETS
