@@ -28,9 +28,11 @@ from .errors import InputError, shown, unknown_name
 from .metrics.catalogue import metric_named
 from .metrics.metric import Metric
 from .optimise import Search
+from .optimise.hardened import Polish
 from .optimise.multi_fidelity import MultiFidelitySearch
 from .plugins import name_in_file
 from .results import Run, Scan, Score, table_of
+from .run.as_hung import is_exact
 from .run.optimise import ended_search, evaluate_site, optimise_site
 from .run.vehicle_table import vehicle_tables
 from .run.verdict import POINTS
@@ -61,7 +63,7 @@ def load_scene(path: str | Path | Mapping[str, Mapping], **settings: object) -> 
         ``{"traffic": {"path": "i80.csv"}, "sensor": {"name": "RS-80"}}``.
     **settings
         In place of the file's. Called as the command line's options, with an underscore for each hyphen:
-        ``sensor="RS-80", frames=10, frame_ids=range(100, 160, 5), tolerance={"tilt_deg": 1.0}``, or as a table of the
+        ``sensor="RS-80", frames=10, frame_ids=range(100, 160, 5), installer={"tilt_deg": 1.0}``, or as a table of the
         scene file, for its keys: ``deployment={"height_m": [2.0, 6.0]}, traffic={"holdout": 0.3}``. A metric or a
         search of one's own may be given itself, if a file defines it. None leaves the file's.
 
@@ -124,7 +126,7 @@ class _Heard:
         self._bar = (
             RunProgress(site.scenario.deployment.spaces[0].variables, self._metric) if progress is True else None
         )
-        self._best, self._of_last = -np.inf, site.scenario.objective.tolerance is not None  # whose search comes last
+        self._best, self._hung = -np.inf, not is_exact(site.scenario)  # whose best is polished under other errors
         self.best_x: np.ndarray | None = None
 
     def __enter__(self) -> _Heard:
@@ -136,7 +138,7 @@ class _Heard:
 
     def searching(self, search: Search | MultiFidelitySearch) -> None:
         self._points, known = 0, np.isfinite(search.best_value)
-        if known and (self._of_last or search.best_value > self._best):
+        if known and (search.best_value > self._best or (self._hung and isinstance(search, Polish))):
             self.best_x, self._best = search.best_x, search.best_value
         elif isinstance(search, MultiFidelitySearch) and search.evaluations:
             self.best_x = search.best_screened_x

@@ -261,12 +261,14 @@ def share_interval_90(
 ) -> tuple[float, float] | None:
     """90 % interval of the share of boxes of which something is true, over blocks of time.
 
+    What is true of a box may be a share itself, as of installations, from 0 to 1.
+
     Where all but two blocks at most have 0 or 100 %, resampling them tells next to nothing: the interval then also
     holds that of Clopper and Pearson, for which each different vehicle is one trial, hit in the share of its boxes.
 
     Parameters
     ----------
-    hits : ndarray of bool, (n,)
+    hits : ndarray, (n,)
         One for each box: a vehicle in one frame.
     vehicle : ndarray, (n,)
         The vehicle of each box.
@@ -308,7 +310,8 @@ def share_gain_interval_90(
     if ends is None or len(np.unique(vehicle)) < FEW_VEHICLES:
         return None
     if is_extreme:
-        won, lost = (_share_of_vehicles(boxes, vehicle) for boxes in (after & ~before, before & ~after))
+        change = after.astype(float) - before
+        won, lost = (_share_of_vehicles(np.maximum(boxes, 0.0), vehicle) for boxes in (change, -change))
         ends = min(ends[0], won[0] - lost[1]), max(ends[1], won[1] - lost[0])
     return max(ends[0], -1.0), min(ends[1], 1.0)
 

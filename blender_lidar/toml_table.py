@@ -51,6 +51,8 @@ class Setting:
         Whether a text may name a function or class in a file besides: see `plugins`.
     word : str
         A text that may stand in place of a number.
+    off : object
+        What false stands for in place of a table; none where it may not.
     fits : callable
         Whether a value that is all of that may be used; none asks for no more.
     form : str
@@ -76,6 +78,7 @@ class Setting:
     allowed: Iterable[str] = ()
     plugins: bool = False
     word: str = ""
+    off: Any = None
     fits: Callable[[Any], object] | None = None
     form: str = ""
     is_path: bool = False
@@ -324,7 +327,8 @@ class TomlTable:
                 raise InputError(f"{self.where(key)}: is missing")
             return declared.default
         if dataclasses.is_dataclass(kind):
-            return self.table(key).read_as(kind)
+            off = value is False and declared.off is not None
+            return declared.off if off else self.table(key).read_as(kind)
         if dataclasses.is_dataclass(entry):
             if not isinstance(value, list | tuple):
                 raise _refused(self.where(key), value, "a list of tables")

@@ -32,7 +32,7 @@ from ..commands.background import heard
 from ..compiled import within_blender
 from ..errors import InputError
 from ..metrics.catalogue import metric_named
-from ..report.summary import judged, measured, percent
+from ..report.summary import as_hung_word, errors_text, judged, judged_hung, measured, percent, short_planned_text
 from ..run.folder import RESULT
 from ..run.verdict import POINTS
 from ..scene.mounting import ANGLES, LEANS, PLACE, mounting_from
@@ -108,8 +108,7 @@ class Optimisation:
         self.done, self.total, self.best, self.result, self.problem = 0, 0, None, None, ""
         self._recent: deque[tuple[float, int]] = deque()  # when how many were done
         for space in () if scenario.further_lidars else scenario.deployment.spaces:  # how long a layout takes shows
-            searches = use.seeds + (scenario.objective.tolerance is not None)
-            self.total += searches * use.particles * use.iterations
+            self.total += use.seeds * use.particles * use.iterations
             self.total += math.prod(POINTS) if all(axis in space.variables for axis in space.axes) else 0
         self._root = Path(tempfile.mkdtemp(prefix="blender_lidar-", dir=bpy.app.tempdir or None))
         self._read = 0  # bytes of what it has printed
@@ -377,15 +376,16 @@ def found_lines(lidar: bpy.types.Object) -> list[str]:
 
 
 def result_lines(result: Mapping) -> list[str]:
-    """The mounting of a result.json, and what is detectable and gained on the held-out traffic, in short lines."""
-    (found, base, _), metric, lines = judged(result), metric_named(result["metric"]), []
+    """The mounting of a result.json, and what is detectable and gained as hung on held-out traffic, in short lines."""
+    (found, base, _), metric, lines = judged_hung(result), metric_named(result["metric"]), []
     for row in result["lidars"]:
         place, name = row["deployment"], f"{row['name']}: " if len(result["lidars"]) > 1 else ""
         lines.append(f"{name}{place['height_m']:.2f} m, tilt {place['tilt_x_deg']:.1f}°")
-    if found is result:
+    if judged(result)[0] is result:
         return [*lines, "Nothing was held out."]
     gain, within = measured(metric, found["gain_over_baseline"], found["interval_90"], "+")
-    lines.append(f"Detectable {percent(found)}, baseline {percent(base)}")
+    lines.append(f"Detectable {as_hung_word(result)}{percent(found)}, baseline {percent(base)}")
+    lines += [short_planned_text(result)] if errors_text(result) else []
     return [*lines, f"Gain {gain} {metric.shown_unit}{f' ({within})' if within else ''}, in brackets 90 %"]
 
 

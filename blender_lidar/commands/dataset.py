@@ -74,7 +74,7 @@ def _layouts(asked: DatasetOptions) -> tuple[str, ...]:
 def _about(site: Site, plan: DatasetPlan, layouts: tuple[str, ...]) -> dict[str, object]:
     """What dataset.json says of a plan."""
     scenario = site.scenario
-    tolerance = scenario.objective.tolerance
+    error = scenario.model.pose_error
     return {
         "scene": Path(scenario.source).name,
         "sensor": site.model.name,
@@ -86,7 +86,7 @@ def _about(site: Site, plan: DatasetPlan, layouts: tuple[str, ...]) -> dict[str,
         "caster": site.observation.caster,
         "layouts": list(layouts),
         "seed": plan.seed,
-        "tolerance": None if tolerance is None else tolerance.half_widths,
+        "pose_error": error and asdict(error),
         "mountings": [mount.as_table() for mount in plan.mounts],
         "warnings": site.recording.report.warnings_as_dicts(),
         "notes": [*site.plan.notes, *plan.notes],

@@ -16,7 +16,7 @@ from ..errors import InputError, MissingExtraError, unknown_name
 from ..plugins import IN_A_FILE
 from ..scene.deployment import MOUNTING_OR_LEAN
 from ..scene.mounting import Layout, Mounting
-from ..scene.settings import DECLARED
+from ..scene.settings import DECLARED, INSTALLER
 from ..toml_table import Setting, checked, limits_text, settings_of
 
 if TYPE_CHECKING:
@@ -28,11 +28,11 @@ _SETTINGS = {
     declared.option: (table, key, declared)
     for table, settings in DECLARED.items()
     for key, declared in settings.items()
-    if declared.option and table not in ("deployment", "baseline", "lidar")
+    if declared.option and (table not in ("deployment", "baseline", "lidar") or (table, key) == INSTALLER)
 }
 SEARCH_OPTIONS = ("--search", "--fidelity", "--particles", "--iterations", "--seeds")
-_FOR_SEARCHES = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--tolerance", "--reading", "--workers")
-_FOR_SEARCHES += ("--cluster", "--seed")
+_FOR_SEARCHES = (*SEARCH_OPTIONS, "--frames", "--frame-ids", "--metric", "--installer", "--reading", "--workers")
+_FOR_SEARCHES += ("--cluster", "--seed", "--pose-error")
 
 # --- Options that are declared as settings are ------------------------------------------------------------
 
@@ -42,6 +42,7 @@ _UNITS = {"m": "m", "deg": "degrees", "s": "s", "hz": "Hz"}  # by how the name o
 _GROUPS = {
     "scene": ("traffic", "road", "world"),
     "sensor": ("sensor",),
+    "installation": ("deployment",),
     "objective": ("objective",),
     "search": ("search",),
     "computing": ("model",),
@@ -289,8 +290,13 @@ def parse_frames(text: str, option: str) -> list[int]:
     return frames
 
 
-def parse_tolerance(text: str, option: str) -> dict[str, float | str] | None:
-    """A table of half-widths from "tilt_deg=1,height_m=0.05", None from "none"; the scene's checks see to its keys."""
+def parse_installer(text: str, option: str) -> dict[str, float | str] | bool:
+    """A table of half-widths from "tilt_deg=1,height_m=0.05", or false; the scene's checks see to its keys."""
+    return text != "false" and parse_pairs(text, option, "tilt_deg=1,height_m=0.05, or false")
+
+
+def parse_pose_error(text: str, option: str) -> dict[str, float | str] | None:
+    """The same, None from "none"."""
     return None if text == "none" else parse_pairs(text, option, "tilt_deg=1,height_m=0.05, or none")
 
 
@@ -306,7 +312,7 @@ def parse_pairs(text: str, option: str, such_as: str) -> dict[str, float | str]:
     return table
 
 
-_READ_AS = {"--tolerance": parse_tolerance, "--frame-ids": parse_frames}
+_READ_AS = {"--installer": parse_installer, "--pose-error": parse_pose_error, "--frame-ids": parse_frames}
 
 
 def in_words(name: str, value: object, where: str) -> object:

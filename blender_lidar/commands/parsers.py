@@ -114,7 +114,7 @@ def _optimise(subparsers) -> None:
         "baseline, and write a folder of results.",
         "i80",
         "i80 --sensor RS-80 --fidelity auto --out runs/rs80",
-        "i80 --tolerance tilt_deg=1,height_m=0.05",
+        "i80 --installer tilt_deg=1,height_m=0.1",
         run="optimise.run_optimise",
     )
     add_scene(parser)
@@ -160,7 +160,7 @@ def _table(subparsers) -> None:
         "i80 --setback 2:10:2 --height 3,4.5,6,8",
         "i80 --setback 2,6 --height 4.5 --sensor RS-16,RS-80",
     )
-    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--tolerance", "--sensor"))
+    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--pose-error", "--sensor"))
     group = parser.add_argument_group("table")
     values = "metres: 3,4.5,6, or a range 2:10:2, its end included"
     for option, dest, what in (
@@ -188,7 +188,7 @@ def _stability(subparsers) -> None:
         "i80 --height 4.1 --tilt-x 19",
         run="studies.run_stability",
     )
-    add_scene(parser, leave_out=("--fidelity", "--seeds"))  # it has fidelities and seeds of its own
+    add_scene(parser, leave_out=("--fidelity", "--seeds", "--pose-error"))  # it has fidelities and seeds of its own
     add_pose(parser, on_poles=False)
     _add_pole(parser)
     _output(parser, resumed="study", quick="few frames, coarse grids, short searches")
@@ -212,7 +212,7 @@ def _chart(subparsers) -> None:
         "i80 --max-regret 0.5% --sensor RS-80",
         run="studies.run_chart",
     )
-    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--tolerance"))
+    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--installer", "--pose-error"))
     _add_pole(parser)
     said = "of several LiDARs, folder of a run on whose poles the study has them"
     parser.add_argument("--run", dest="of_run", action=Once, metavar="DIR", help=said)

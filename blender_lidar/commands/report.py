@@ -15,7 +15,6 @@ from pathlib import Path
 from ..metrics.catalogue import metric_named
 from ..report.cautions import cautions, lorries_text, other_traffic_text
 from ..report.summary import (
-    aim_text,
     answer,
     as_sentence,
     assumed_texts,
@@ -30,7 +29,6 @@ from ..report.summary import (
 from ..report.tables import group_tables, score_tables, table_text
 from ..run.folder import INSTALLATION, RunFolder, of_lidar
 from ..run.optimise import scenery_counts
-from ..run.tolerance import SEARCHED_BASE, tolerance_text
 from ..scene.mounting import COORDINATE_NAMES
 from ..scene.site import Site
 from ..scoring.evaluation import workplace_of
@@ -84,7 +82,7 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
         ("Traffic", f"{_traffic_text(site)}: {traffic}; {held_out}"),
         *(("", line) for line in report.lines(losses=True)),
         ("Region", f"vehicles count {region_text(asdict(scenario.region))}"),
-        ("Tolerance", _tolerance_text(scenario, searched)),
+        ("Installer", _installers(scenario)),
         *(("Searched", _ranges(one)) for one in scenario.each if searched),
         ("Casting", f"{observation.caster}, detail {observation.detail}, {workplace_of(scenario.model)}"),
     ]
@@ -144,15 +142,16 @@ def files(folder: RunFolder, charts: Sequence[str]) -> str:
     return f"Results in {folder.path}: report.html, result.json, vehicles.csv, {sheets}{drawn}"
 
 
-def _tolerance_text(scenario, searched):
-    """The tolerance of installation, and how it is searched; empty where there is none."""
-    tolerance = scenario.objective.tolerance
-    if tolerance is None:
+def _installers(scenario):
+    """Within what each LiDAR hangs of its plan; empty where all hang already."""
+    texts = {lidar.name: lidar.deployment.installer for lidar in scenario.lidars}
+    texts = {name: "hangs already" if one.is_exact else one.text for name, one in texts.items()}
+    aim = "" if scenario.aim == "mean" else "; aims at what nine of ten installations reach"
+    if set(texts.values()) == {"hangs already"}:
         return ""
-    settings = asdict(tolerance)
-    errors = SEARCHED_BASE[tolerance.aim] ** 2
-    then = f"; a second search scores each mounting with {errors} errors" if searched else ""
-    return f"{tolerance_text(settings)}: {aim_text(settings)}{then}"
+    if len(set(texts.values())) == 1:
+        return next(iter(texts.values())) + aim
+    return "; ".join(f"{name}: {text}" for name, text in texts.items()) + aim
 
 
 def _ranges(scenario):

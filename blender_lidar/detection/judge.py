@@ -16,7 +16,7 @@ from ..clouds.fit import accepted, detections_misfit
 from ..clouds.scan import PointCloud
 from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
-from ..run.tolerance import errors_from, installed
+from ..scene.installation import installed
 from ..scene.mounting import Layout, Mounting
 from ..scene.observation import WAY_COLUMNS, CountedFrame
 from ..scene.region import Region
@@ -149,18 +149,17 @@ def judging_frames(site: Site) -> tuple[Sequence[CountedFrame], np.ndarray, np.n
 
 
 def hung_off(site: Site, mounting: Mounting) -> Mounting:
-    """Where a LiDAR hangs by one draw within the scene's tolerance, by its seed and the LiDAR's name."""
+    """Where a LiDAR hangs by one draw within the scene's pose error, by its seed and the LiDAR's name."""
     seed, name = site.scenario.search.seed, site.scenario.lidar_name.encode()
     return hung_off_by(site.scenario, mounting, np.random.default_rng([seed, zlib.crc32(name)] if name else seed))
 
 
 def hung_off_by(scenario: Scenario, mounting: Mounting, rng: np.random.Generator) -> Mounting:
     """The same by a draw of `rng`."""
-    tolerance = scenario.objective.tolerance
-    if tolerance is None:
+    if scenario.model.pose_error is None:
         return mounting
-    (hung,) = installed(mounting, errors_from(tolerance, [rng.uniform(-1.0, 1.0) for _ in tolerance.half_widths]))
-    return hung
+    widths = scenario.model.pose_error.half_widths
+    return installed(mounting, np.array([width and rng.uniform(-width, width) for width in widths]))
 
 
 def believed(cloud: PointCloud, hangs: Pose, planned: Pose) -> PointCloud:
@@ -179,7 +178,7 @@ Clouds = Callable[[Vehicles], PointCloud]
 
 
 def clouds_at(site: Site, mounting: Mounting) -> Clouds:
-    """What a detector is given of a frame's vehicles at a mounting, which hangs off its plan by the tolerance."""
+    """What a detector is given of a frame's vehicles at a mounting, which hangs off its plan by the pose error."""
     return partial(_planned_scan, sensor_at(site, hung_off(site, mounting)), mounting.pose)
 
 
@@ -230,7 +229,7 @@ def judge_detectors(
 ) -> dict[str, JudgedDetector]:
     """Let each LiDAR's detector find the vehicles of the judging frames within `watched`, and merge their boxes.
 
-    Those that learn see the searched frames first. Where the scene has a tolerance, a LiDAR hangs off its plan, which
+    Those that learn see the searched frames first. Where the scene has a pose error, a LiDAR hangs off its plan, which
     its detector believes in. Clouds are cast by so many processes; `advance` is given 1 for each frame.
 
     Returns

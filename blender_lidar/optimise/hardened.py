@@ -105,18 +105,18 @@ _HOPE = 3  # generations that a climb has in any case, and that one point has to
 
 
 class Polish(Search):
-    """Local search by CMA-ES from a point that is known to be good; see `Search` for the methods.
+    """Local search by CMA-ES from a point that is known to be good, the best of some; see `Search` for the methods.
 
     Parameters
     ----------
     lower, upper : array_like, (d,)
         Bounds of each variable, in any unit.
-    start : ndarray, (d,)
-        The point, which is evaluated first.
+    start : ndarray, (d,) or (n, d)
+        The point, or several, which are evaluated first: the best of them is where the climb starts.
     seed : int
         Same seed, same candidates.
     evaluations : int
-        The most that it makes; it ends earlier where it has arrived.
+        The most that it makes, or as many as there are points; it ends earlier where it has arrived.
     step : float
         Step size that the climb starts with, in shares of the box.
     periodic : sequence of bool, (d,), optional
@@ -137,25 +137,32 @@ class Polish(Search):
         step: float = 0.03,
         periodic: Sequence[bool] | None = None,
     ) -> None:
-        super().__init__(lower, upper, budget=evaluations, periodic=periodic)
-        shares = (np.asarray(start, dtype=float) - self.lower) / (self.upper - self.lower)
-        self._start = np.clip(shares, 0.0, 1.0)
-        samples = _FEWEST + int(3.0 * math.log(self.lower.size))
-        self._climb = CovarianceAdaptation(generator(seed), self._start, step, samples, None, self.periodic)
+        starts = np.atleast_2d(np.asarray(start, dtype=float))
+        super().__init__(lower, upper, budget=max(evaluations, len(starts)), periodic=periodic)
+        self._starts = np.clip(self._shares(starts), 0.0, 1.0)
+        self._rng, self._step = generator(seed), step
+        self._climb: CovarianceAdaptation | None = None
+
+    def _shares(self, x: np.ndarray) -> np.ndarray:
+        return (x - self.lower) / (self.upper - self.lower)
 
     def _candidates(self) -> np.ndarray:
-        shares = self._climb.candidates[: self.budget - self.evaluations] if self.evaluations else self._start[None]
+        shares = self._starts if self._climb is None else self._climb.candidates[: self.budget - self.evaluations]
         return in_box(shares, self.lower, self.upper)
 
     def _learn(self, candidates: np.ndarray, values: np.ndarray) -> None:
-        if self.evaluations > 1 and not self.evaluations >= self.budget:
+        if self._climb is None:
+            samples = _FEWEST + int(3.0 * math.log(self.lower.size))
+            best = self._starts[int(np.argmax(values))]
+            self._climb = CovarianceAdaptation(self._rng, best, self._step, samples, None, self.periodic)
+        elif not self.evaluations >= self.budget:
             self._climb.tell(values)
         self._climb.move()
 
     @property
     def done(self) -> bool:
         """Whether the budget is spent, or the climb has ended."""
-        return super().done or (self.evaluations > 1 and self._climb.exhausted)
+        return super().done or (self._climb is not None and self._climb.exhausted)
 
 
 class Hardened(Search):

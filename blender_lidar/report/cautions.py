@@ -1,4 +1,4 @@
-"""How far to trust what a run found, as sentences: what its search, its score map and its tolerance say.
+"""How far to trust what a run found, as sentences: what its search and its score map say.
 
 `result` is everywhere the content of result.json.
 """
@@ -10,36 +10,31 @@ from collections.abc import Mapping
 
 from ..metrics.catalogue import DETECTABLE, metric_named
 from ..run.what_if import ON_A_BOUND, REPAIRED
-from ..scene.mounting import ANGLES, COORDINATE_NAMES, LEANS
+from ..scene.mounting import COORDINATE_NAMES, LEANS
 from ..statistics import FEW_VEHICLES
 from ..traffic.vehicles import counted
 from .summary import (
-    LEVEL_DEG,
     as_sentence,
     better_than_baseline,
     each_lidar,
     in_brackets,
     judged,
-    judged_over_tolerance,
     leans,
     measured,
     minus,
     of_name,
     own_table,
-    sharp_of,
-    span,
     was_searched,
 )
 
 _MOST_NAMED = 5
 _SMALL_SHORTFALL = 0.01  # what a search may miss before more of it is advised
-_WIDTHS = {"height_m": "height_m", "tilt_x_deg": "tilt_deg", "tilt_y_deg": "tilt_deg", "yaw_deg": "yaw_deg"}
 _DIGITS = {"m": 2, "deg": 1}
 
 
 def cautions(result: Mapping) -> list[str]:
-    """What tolerance, search and map say about how far to trust the optimum, as sentences."""
-    notes = (crossed_text(result), costliest_text(result), _against_sharp(result), worst_text(result))
+    """What search and map say about how far to trust the optimum, as sentences."""
+    notes = (crossed_text(result), worst_text(result))
     found = [as_sentence(note) for note in (*notes, _undecided_by_threshold(result)) if note]
     if not was_searched(result):
         return found
@@ -78,7 +73,7 @@ def _search_notes(result):
             "fewer (fidelity auto). No grid was scored to check the search; --fidelity full scores one."
         )
     if result["map"]:
-        found += _map_notes(result, "mounting found" if sharp_of(result) is None else "sharp mounting")
+        found += _map_notes(result)
     return found
 
 
@@ -190,25 +185,7 @@ def _bounds(result, key):
     return searched.get(key, result["identity"].get(f"[{own_table(result)}] {key}"))
 
 
-def _against_sharp(result):
-    """What robustness costs where all hangs as planned, and what it gains where it does not; "" without both."""
-    metric, sharp = metric_named(result["metric"]), sharp_of(result)
-    if sharp is None:
-        return ""
-    if all(sharp_of(one)["deployment"] == one["deployment"] for one in each_lidar(result).values()):
-        return "the search over the tolerance found no mounting better than the sharp one"
-    beside = (result["tolerance"]["robust"]["optimised"]["holdout"] or {}).get("over_sharp", {})
-    parts = []
-    for name, difference in beside.items():
-        text = metric.difference(difference["objective_per_vehicle"], sign="+")
-        if difference["interval_90"]:
-            text += f" (90 %: {span(metric, difference['interval_90'], 0, '+')})"
-        parts.append(f"{text} {'as planned' if name == 'as_planned' else 'over the tolerance'}")
-    start = "on held-out frames the robust mounting has, compared with the sharp one and per vehicle, "
-    return start + " and ".join(parts) if parts else ""
-
-
-def _map_notes(result, mounting):
+def _map_notes(result):
     """What the score map says of the search and the optimum: what was missed, how flat and how certain the top is."""
     score_map = result["map"]
     tilts = "leans" if "lean_deg" in score_map["best"] else "tilts"
@@ -223,7 +200,7 @@ def _map_notes(result, mounting):
             f"A point of {grid} was better than the mounting of the search, so a local search went on from there."
         )
     elif shortfall == 0:
-        found.append(f"No point of {grid} is better than the {mounting}.")
+        found.append(f"No point of {grid} is better than the mounting found.")
     elif shortfall is not None and shortfall < _SMALL_SHORTFALL:
         found.append(f"The search found all but {100 * shortfall:.2f} % of the gain that {grid} offers.")
     elif shortfall is not None:
@@ -235,7 +212,7 @@ def _map_notes(result, mounting):
     regret = score_map.get("holdout_regret")
     if regret is not None and regret > _SMALL_SHORTFALL:
         lacks = f"lacks {100 * regret:.1f} % of the gain that the best point of that grid has there"
-        found.append(f"On the held-out frames the {mounting} {lacks}.")
+        found.append(f"On the held-out frames the mounting found {lacks}.")
     return found
 
 
@@ -288,23 +265,6 @@ def worst_text(result: Mapping) -> str:
     return "recording {} is seen worst: {} per vehicle, and {} in the weighted mean of all".format(worst, *values)
 
 
-def costliest_text(result: Mapping) -> str:
-    """Which single error at its limit costs most; empty without a tolerance, or where none costs anything."""
-    (scores, where), each = judged_over_tolerance(result), each_lidar(result)
-    limits = {} if scores is None else scores["loss_at_limits"]
-    ends = ((loss, key, sign) for key in limits for loss, sign in zip(limits[key], "-+", strict=True))
-    loss, key, sign = max(ends, default=(0.0, "", ""))
-    if loss <= 0.0:
-        return ""
-    lidar, _, key = key.rpartition(".")
-    (name, unit), width = COORDINATE_NAMES[key], result["tolerance"]["settings"][_WIDTHS[key]]
-    if key in ANGLES[:2] and abs(math.remainder(each[lidar]["deployment"]["yaw_deg"], 360.0)) >= LEVEL_DEG:
-        name = f"tilt about the sensor's own {'x' if key == 'tilt_x_deg' else 'y'} axis"
-    name, metric = f"{name} of {lidar}" if lidar else name, metric_named(result["metric"])
-    lost = f"{metric.difference(loss)}{metric.per_vehicle}"
-    return f"of single installation errors, {name} {sign}{width:g} {unit} costs most: {lost} ({where})"
-
-
 def optimum_text(result: Mapping) -> str:
     """Between what coordinates the optimum lies with other traffic; empty where no interval is known.
 
@@ -327,7 +287,9 @@ def optimum_text(result: Mapping) -> str:
     *others, last = places
     listed = f"{', '.join(others)} and {last}" if others else last
     sure = "90 % of resamplings of its blocks of time"
-    return f"other traffic of this kind would put the best {listed} ({sure}{among}; this is no installation tolerance)"
+    return (
+        f"other traffic of this kind would put the best {listed} ({sure}{among}; this is no leave to hang it elsewhere)"
+    )
 
 
 def _between(low, high, digits):
@@ -337,7 +299,7 @@ def _between(low, high, digits):
 
 def _off_grid(result):
     """Whether the mounting found lies more than half a step of the map's grid outside the interval of the optimum."""
-    found, intervals = (sharp_of(result) or result)["deployment"], result["map"]["optimum_interval_90"]
+    found, intervals = result["deployment"], result["map"]["optimum_interval_90"]
     return any(
         not low - 0.5 * step <= found[key] <= high + 0.5 * step
         for step, (key, (low, high)) in zip(_grid_steps(result), intervals.items(), strict=True)

@@ -11,22 +11,22 @@ from functools import partial
 import numpy as np
 
 from ..metrics.catalogue import DETECTABLE
-from ..run.tolerance import tolerance_text
 from ..scene.directions import UPRIGHT_DEG, bearing_deg, pointing
 from ..scene.mounting import Mast
 from ..scene.site import Site
-from .cautions import costliest_text, crossed_text, lorries_text, next_metre_text, optimum_text, other_traffic_text
+from .cautions import crossed_text, lorries_text, next_metre_text, optimum_text, other_traffic_text
 from .summary import (
     approaches_text,
     as_sentence,
     assumed_texts,
     conditions,
+    errors_text,
     in_brackets,
     judged,
-    kept_text,
     measured,
     over_single_text,
     percent,
+    planned_text,
     region_text,
     warnings_text,
     worth,
@@ -86,7 +86,6 @@ def installation_text(site: Site, result: Mapping) -> str:
         "- blind_zones.png shows where vehicles stay below the threshold.",
         "",
         *_expected(result),
-        *_errors(result),
         *_to_know(result),
     ]
     return "\n".join(lines) + "\n"
@@ -201,7 +200,9 @@ def _lowest_beam(site, mounting):
 def _expected(result):
     """What to expect, on the frames that did not choose the mounting where there are any."""
     *_, on = judged(result)
-    lines, layout, of_layout = [f"Expected, on {on}"], result.get("layout"), ()
+    errors = errors_text(result)
+    within = f" within {errors} of this plan" if errors else ""
+    lines, layout, of_layout = [f"Expected{within}, on {on}"], result.get("layout"), ()
     if layout:
         own = next(one for one in layout["parts"] if one["name"] == result["name"])
         points, around = measured(DETECTABLE, *(own["without"][f"share_gain{of}"] for of in ("", "_interval_90")), "+")
@@ -214,6 +215,7 @@ def _expected(result):
         )
     found = (
         worth(result),
+        planned_text(result),
         *of_layout,
         approaches_text(result),
         optimum_text(result),
@@ -231,11 +233,3 @@ def _to_know(result):
     found += [as_sentence(text) for text in (*result["notes"], *result["traffic_report"]["notes"])]
     lines = [line for text in found for line in textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")]
     return ["", "To know", *lines] if lines else []
-
-
-def _errors(result):
-    """What the installer's errors cost."""
-    if result.get("tolerance") is None:
-        return []
-    lines = (f"- {line}" for line in (kept_text(result), costliest_text(result)) if line)
-    return ["", f"With installation errors of {tolerance_text(result['tolerance']['settings'])}", *lines]

@@ -31,12 +31,12 @@ from .figure import (
 )
 from .summary import (
     each_lidar,
+    errors_text,
     gate_text,
     judged,
     layout_frames,
     mounting_name,
     run_text,
-    sharp_of,
     sides,
     was_searched,
 )
@@ -63,7 +63,7 @@ def draw_charts(site: Site, run: RunFolder) -> list[str]:
     """
     charts = {}
     if was_searched(run.result):
-        charts["convergence.png"] = partial(plot_convergence, run=run, history=run.read_history())
+        charts["convergence.png"] = partial(plot_convergence, run=run, history=run.searched)
         for name in each_lidar(run.result):
             if (found := run.read_score_map(name)) is not None:
                 charts[of_lidar("score_map.png", name)] = partial(plot_score_map, run=run, score_map=found, lidar=name)
@@ -91,20 +91,19 @@ def draw_charts(site: Site, run: RunFolder) -> list[str]:
 # --- Convergence: how the search's best objective rose with the number of mountings tried -----------------------------
 
 
-def plot_convergence(path: str | Path, run: RunFolder, history: np.ndarray) -> None:
+def plot_convergence(path: str | Path, run: RunFolder, history: Mapping[str, np.ndarray]) -> None:
     """Draw the convergence of the search: every candidate's objective per vehicle, and the best so far.
 
-    The `history` is that of the search that found the mounting, (evaluations, columns): over a tolerance its values
-    and the baseline's are those over it. A candidate without a finite value is left out.
+    The `history` is that of the search, its columns by name: with installation errors each frame has its own. A
+    mounting without a finite value is left out.
     """
     result, metric = run.result, metric_named(run.result["metric"])
-    over = "" if sharp_of(result) is None else " over the tolerance"
-    base = result["tolerance"]["robust"]["baseline"] if over else result["baseline"]
-    baseline = base["objective_per_vehicle"]
-    evaluation, vehicles = history[:, 0], result["vehicles"]
+    over = " under installation errors" if errors_text(result) else ""
+    baseline = result["baseline"]["objective_per_vehicle_as_hung"]
+    evaluation, vehicles = history["evaluation"], result["vehicles"]
     if WEIGHT in run.baseline:
         vehicles = run.baseline[WEIGHT][run.baseline["split"] == "search"].sum()
-    value, best = history[:, -2:].T / vehicles
+    value, best = history["objective"] / vehicles, history["best"] / vehicles
     title = f"Search{over}: {result['search']}, seed {result['seed']}, {result['reading']} reading"
     with sheet(path, 90.0, title, run_text(result)) as figure:
         axes = figure.add_subplot(
@@ -119,7 +118,7 @@ def plot_convergence(path: str | Path, run: RunFolder, history: np.ndarray) -> N
         line = axes.step(evaluation, metric.shown(best), where="post", label=label, **look)
         label = f"baseline mounting ({metric.amount(baseline)})"
         level = axes.axhline(metric.shown(baseline), label=label, **_line(BASELINE_LOOK))
-        for at in _added_at(run.read_columns()) if len(each_lidar(result)) > 1 else ():
+        for at in _added_at(history) if len(each_lidar(result)) > 1 else ():
             axes.axvline(evaluation[at], color=INK, linewidth=0.8, linestyle=":")
         axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.xaxis.get_major_locator().set_params(integer=True)
@@ -151,14 +150,10 @@ def plot_score_map(path: str | Path, run: RunFolder, score_map: ScoreMap, lidar:
     """Draw the objective over the grid of heights and tilts, the optimum, the baseline and the near-best region.
 
     It is of one LiDAR, of several the one that is named: the baselines of a layout are no point of its map.
-    The grid is of mountings that hang as planned: where the run's is the best over a tolerance (robust), the optimum
-    is the sharp one, and the robust one has a marker of its own. A mounting outside the grid is marked on its edge.
+    All values are as hung. A mounting outside the grid is marked on its edge.
     """
     result, metric = each_lidar(run.result)[lidar], metric_named(run.result["metric"])
-    sharp = sharp_of(result)
     marks = [("optimum", result, "*", 13.0), ("baseline", result["baseline"], "s", 7.0)]
-    if sharp is not None:
-        marks[:1] = [("sharp", sharp, "*", 13.0), ("robust", result, "D", 7.0)]
     marks = marks[:-1] if lidar else marks
     grid, values = (score_map.tilt_deg, score_map.height_m), metric.shown(score_map.per_vehicle)
     what = "lean" if score_map.tilt == "lean_deg" else "tilt"
@@ -173,10 +168,10 @@ def plot_score_map(path: str | Path, run: RunFolder, score_map: ScoreMap, lidar:
         handles = []
         for name, scores, marker, size in marks:
             look = {"marker": marker, "markersize": size}
-            amount = metric.amount(scores["objective_per_vehicle"])
+            amount = metric.amount(scores["objective_per_vehicle_as_hung"])
             handles.append(_mark(axes, score_map, scores["deployment"], name, amount, look))
-        best = max(marks[0][1]["objective_per_vehicle"], score_map.per_vehicle.max())
-        least = near_best_threshold(best, result["baseline"]["objective_per_vehicle"], REGION_SHARE)
+        best = max(result["objective_per_vehicle_as_hung"], score_map.per_vehicle.max())
+        least = near_best_threshold(best, result["baseline"]["objective_per_vehicle_as_hung"], REGION_SHARE)
         handles.append(_draw_region(axes, score_map, least))
         legend_below(figure, handles, columns=len(handles))
 

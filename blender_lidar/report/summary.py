@@ -13,8 +13,8 @@ import numpy as np
 
 from ..metrics.catalogue import DETECTABLE, PE_VGOP, metric_named
 from ..metrics.metric import Metric
-from ..run.tolerance import tolerance_text
 from ..run.vehicle_table import APPROACH
+from ..scene.deployment import Installer
 from ..scene.mounting import ANGLES
 from ..sensors.model import model_names
 from ..statistics import FEW_BLOCKS, FEW_VEHICLES
@@ -34,12 +34,10 @@ def each_lidar(result: Mapping) -> dict[str, Mapping]:
     rows, found = result.get("lidars") or (), {}
     if len(rows) < 2:
         return {"": result}
-    sharp, spread = sharp_of(result), result["spread"] or {}
+    spread = result["spread"] or {}
     for number, row in enumerate(rows, start=1):
         name, table = row["name"], "lidar" if number == 1 else f"lidar {number}"
         own = {"table": table, "baseline": {**result["baseline"], "deployment": row["baseline"]}}
-        if sharp is not None:
-            own["tolerance"] = {**result["tolerance"], "sharp": {**sharp, "deployment": sharp["deployments"][name]}}
         if intervals := spread.get("optimum_interval_90"):  # names stand there where several are searched
             of = {key.rpartition(".")[::2]: ends for key, ends in intervals.items()}
             of = {key: ends for (lidar, key), ends in of.items() if lidar == name or (not lidar and row["bounds"])}
@@ -63,16 +61,9 @@ def was_searched(result: Mapping) -> bool:
     return result["search"] is not None
 
 
-def sharp_of(result: Mapping) -> Mapping | None:
-    """The best mounting that hangs as planned and its scores, where a search over a tolerance found the run's."""
-    return (result.get("tolerance") or {}).get("sharp")
-
-
 def mounting_name(result: Mapping) -> str:
-    """What the run's mounting is called beside the baseline, and beside the sharp one where it had a tolerance."""
-    if not was_searched(result):
-        return "given"
-    return "optimised" if sharp_of(result) is None else "robust"
+    """What the run's mounting is called beside the baseline."""
+    return "optimised" if was_searched(result) else "given"
 
 
 def sides(result: Mapping) -> list[tuple[str, str, dict[str, Mapping[str, float]]]]:
@@ -178,6 +169,32 @@ def judged(result: Mapping) -> tuple[Mapping, Mapping, str]:
         return result["holdout"], result["baseline"]["holdout"], "held-out traffic"
     on = "the traffic that was used to choose the mounting" if was_searched(result) else "the scored traffic"
     return result, result["baseline"], on
+
+
+def judged_hung(result: Mapping) -> tuple[Mapping, Mapping, str]:
+    """The same as hung, by the same names: expected over installation errors, none of what hangs already."""
+    found, base, on = judged(result)
+    return _of_hung(found), _of_hung(base), on
+
+
+def _of_hung(scores):
+    """Scores as hung in place of those as planned."""
+    hung, names = scores["as_hung"], {"interval_90": "detectable_share_interval_90", "gain": "detectable_share_gain"}
+    names |= {"gain_interval_90": "detectable_share_gain_interval_90", "objective_gain": "gain_over_baseline"}
+    names["objective_gain_interval_90"] = "interval_90"
+    return {**scores, **{names.get(key, key): value for key, value in hung.items()}}
+
+
+def errors_text(result: Mapping) -> str:
+    """Within what installation errors figures are expected, in a few words; "" where all hangs already."""
+    return " or ".join(
+        dict.fromkeys(Installer(**one["installer"]).text for one in result["lidars"] if one["installer"])
+    )
+
+
+def as_hung_word(result: Mapping) -> str:
+    """Stands before a share that is one as hung; "" where that is the one as planned."""
+    return "as hung " if errors_text(result) else ""
 
 
 def frames_word(result: Mapping) -> str:
@@ -409,9 +426,31 @@ def _unsigned(metric, value, ends):
 
 def answer(result: Mapping) -> str:
     """The mounting and what it is worth against the baseline, with the interval where there is one."""
-    kept, (found, _, on) = kept_text(result), judged(result)
-    text = f"{_what_to_do(result)}: on {on} ({boxes_text(found)}) {worth(result)}."
-    return " ".join([text, *map(as_sentence, filter(None, (kept, over_single_text(result))))])
+    (found, _, on), hung = judged(result), as_hung_word(result)
+    text = f"{_what_to_do(result)}: {hung}on {on} ({boxes_text(found)}) {worth(result)}."
+    return " ".join([text, *map(as_sentence, filter(None, (planned_text(result), over_single_text(result))))])
+
+
+def planned_text(result: Mapping) -> str:
+    """What nine of ten installations reach, and what is seen exactly as planned and a little off; "" without errors."""
+    if not errors_text(result):
+        return ""
+    found, _, _ = judged(result)
+    hung, (planned, within) = found["as_hung"], share_texts(found)
+    worst = {"one degree off in one tilt": hung["worst_degree"], "10 cm off in height": hung["worst_10_cm"]}
+    off = " and ".join(f"{what} at worst {_share(share)} %" for what, share in worst.items())
+    low = "" if hung["nine_of_ten"] is None else f"nine of ten installations reach {_share(hung['nine_of_ten'])} %; "
+    return f"{low}exactly as planned it would be {planned} %{in_brackets(within)}, {off}"
+
+
+def short_planned_text(result: Mapping) -> str:
+    """The same in a short line, for a panel."""
+    hung = judged(result)[0]["as_hung"]
+    return f"1° off {_share(hung['worst_degree'])} %, 10 cm off {_share(hung['worst_10_cm'])} % at worst"
+
+
+def _share(share):
+    return DETECTABLE.number(share, -1)
 
 
 def over_single_text(result: Mapping) -> str:
@@ -442,7 +481,7 @@ def layout_frames(result: Mapping) -> str:
 
 def key_figures(result: Mapping) -> list[tuple[str, str]]:
     """The few figures that matter, each with what it is."""
-    each, (found, base, on), metric = each_lidar(result), judged(result), metric_named(result["metric"])
+    each, (found, base, on), metric = each_lidar(result), judged_hung(result), metric_named(result["metric"])
     (after, within), (before, _) = share_texts(found), share_texts(base)
     if len(each) > 1:
         figures = [
@@ -452,7 +491,10 @@ def key_figures(result: Mapping) -> list[tuple[str, str]]:
     else:
         height = f"{result['deployment']['height_m']:.2f} m"
         figures = [("height above the road", height), *_orientation(result).items()]
-    figures.append((f"detectable on {on}{in_brackets(within)}", f"{before} \N{RIGHTWARDS ARROW} {after} %"))
+    hung = as_hung_word(result)
+    figures.append((f"detectable {hung}on {on}{in_brackets(within)}", f"{before} \N{RIGHTWARDS ARROW} {after} %"))
+    if hung and found["nine_of_ten"] is not None:
+        figures.append(("what nine of ten installations reach", f"{_share(found['nine_of_ten'])} %"))
     gains = {("detectable vehicles", "percentage points"): (DETECTABLE, "detectable_share_gain")}
     if not metric.of_share or _is_weighted(result):
         of = "objective, weighted" if metric.of_share else f"objective{metric.per_vehicle}"
@@ -506,9 +548,9 @@ def _what_to_do(result):
 
 def _doubt(result):
     """Why the traffic that judges does not carry the advice to hang a LiDAR there; "" where it does."""
-    found, base, on = judged(result)
+    found, base, on = judged_hung(result)
     ends, shares, on = found.get("interval_90"), found["detectable_share_gain_interval_90"], f"{on[0].upper()}{on[1:]}"
-    if found is result:
+    if judged(result)[0] is result:
         return "Nothing was held out, so this has no independent check"
     if ends is None:
         return "Too few blocks of time are held out for an interval"
@@ -530,7 +572,7 @@ def worth(result: Mapping) -> str:
 
     The detectable share comes first, then the objective; all with 90 % intervals, or why there are none.
     """
-    found, base, _ = judged(result)
+    found, base, _ = judged_hung(result)
     (after, within), (before, base_within) = share_texts(found), share_texts(base)
     metric, share = metric_named(result["metric"]), found["detectable_share_gain"]
     within = f" (90 % interval {within})" if within else ""
@@ -554,7 +596,7 @@ def _no_interval(result, found):
     """Why the detectable share has no interval; "" where it has one."""
     if found["detectable_share_interval_90"]:
         return ""
-    if found is result and was_searched(result):
+    if judged(result)[0] is result and was_searched(result):
         return "; there is no interval, as the same traffic has chosen the mounting"
     if found["distinct_vehicles"] < FEW_VEHICLES:
         return f"; shares have no interval, as there are fewer than {FEW_VEHICLES} different vehicles"
@@ -562,32 +604,5 @@ def _no_interval(result, found):
 
 
 def better_than_baseline(result: Mapping) -> bool:
-    """Whether the mounting beats the baseline on the frames that were searched."""
-    return result["objective"] > result["baseline"]["objective"]
-
-
-def aim_text(settings: Mapping) -> str:
-    """What counts of the objective over the errors of a tolerance."""
-    return "mean" if settings["aim"] == "mean" else "what nine of ten installations reach"
-
-
-def kept_text(result: Mapping) -> str:
-    """How much of its gain the mounting keeps within the run's tolerance; empty without a tolerance or a gain."""
-    scores, where = judged_over_tolerance(result)
-    if scores is None or scores["gain_kept"] is None:
-        return ""
-    settings = result["tolerance"]["settings"]
-    return (
-        f"within {tolerance_text(settings)} the mounting keeps {100 * scores['gain_kept']:.0f} % of its gain "
-        f"({aim_text(settings)}, {where})"
-    )
-
-
-def judged_over_tolerance(result: Mapping) -> tuple[Mapping | None, str]:
-    """Scores of the mounting over the tolerance where it is judged, None without one, and which frames that is."""
-    if result.get("tolerance") is None:
-        return None, ""
-    scores = result["tolerance"]["robust"]["optimised"]
-    if scores["holdout"] is not None:
-        return scores["holdout"], "held-out frames"
-    return scores, f"{frames_word(result)} frames"
+    """Whether the mounting beats the baseline as hung, on the frames that were searched."""
+    return result["objective_as_hung"] > result["baseline"]["objective_as_hung"]

@@ -11,21 +11,20 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 from ..metrics.catalogue import DETECTABLE, metric_named
-from ..run.tolerance import tolerance_text
 from ..scene.mounting import ANGLES, COORDINATE_NAMES, LEANS
 from ..traffic.vehicles import counted
 from .summary import (
-    aim_text,
     each_lidar,
+    errors_text,
     frames_word,
     judged,
+    judged_hung,
     layout_frames,
     leans,
     measured,
     mounting_name,
     percent,
     share_texts,
-    sharp_of,
 )
 
 
@@ -54,15 +53,10 @@ def score_tables(result: Mapping) -> list[TextTable]:
 
 
 def comparison_table(result: Mapping) -> TextTable:
-    """The mountings of a run side by side: the baseline, the sharp one where there is one, the run's own."""
-    compared = {"baseline": result["baseline"], "sharp": sharp_of(result), mounting_name(result): result}
-    compared = {name: scores for name, scores in compared.items() if scores is not None}
+    """The mountings of a run side by side: the baseline and the run's own."""
+    compared = {"baseline": result["baseline"], mounting_name(result): result}
     sections = [(name, _mounting_rows(one)) for name, one in each_lidar(result).items()]
     sections += _score_sections(result, list(compared.values()))
-    if (block := result.get("tolerance")) is not None:
-        robust = [block["robust"][name] for name in ("baseline", "sharp", "optimised") if name in block["robust"]]
-        over = f", {tolerance_text(block['settings'])}: {aim_text(block['settings'])}"
-        sections += _score_sections(result, robust, over)
     *others, last = compared
     head = [("Mounting", 1), *((name, 1) for name in compared)]
     return TextTable(f"{', '.join(others).capitalize()} and {last} mounting", [head], sections)
@@ -70,7 +64,7 @@ def comparison_table(result: Mapping) -> TextTable:
 
 def _mounting_rows(result):
     """Where a LiDAR hangs in each of the mountings that are compared."""
-    mounts = [one["deployment"] for one in (result["baseline"], sharp_of(result), result) if one is not None]
+    mounts = [one["deployment"] for one in (result["baseline"], result)]
     shown = COORDINATE_NAMES.keys() - (ANGLES if leans(result) else LEANS)
     always = ("height_m", "lean_deg" if leans(result) else "tilt_x_deg")
     return [
@@ -114,45 +108,63 @@ def layout_tables(result: Mapping) -> list[TextTable]:
     ]
 
 
-def _score_sections(result, compared, over=""):
-    """Scores on the searched frames and on the held-out ones; `over` names a tolerance that they are over."""
-    sections = [(f"{frames_word(result).capitalize()} frames{over}", _score_rows(result, compared, over))]
+def _score_sections(result, compared):
+    """Scores on the searched frames and on the held-out ones, and as hung on those that judge."""
+    sections = [(f"{frames_word(result).capitalize()} frames", _score_rows(result, compared))]
     if result["holdout"]:
         held = [scores["holdout"] for scores in compared]
-        blocks = "" if over else f", {counted(held[-1]['blocks'], 'block')} of time"
-        sections.append((f"Held-out frames{blocks}{over}", _score_rows(result, held, over)))
-    if result.get("cross_fitted") and not over:
+        blocks = f", {counted(held[-1]['blocks'], 'block')} of time"
+        sections.append((f"Held-out frames{blocks}", _score_rows(result, held)))
+    if result.get("cross_fitted"):
         crossed = [result["cross_fitted"][name] for name in ("baseline", "optimised")]
         blocks = counted(crossed[0]["blocks"], "block")
-        sections.append((f"Each block of time judged without it, {blocks}", _score_rows(result, crossed, over)))
-    return sections
+        sections.append((f"Each block of time judged without it, {blocks}", _score_rows(result, crossed)))
+    if not (errors := errors_text(result)):
+        return sections
+    sections = [(f"{heading}, exactly as planned", rows) for heading, rows in sections]
+    after, before, on = judged_hung(result)
+    return [*sections, (f"As hung ({errors}), on {on}", _hung_rows(result, before, after))]
 
 
-def _score_rows(result, compared, over):
+def _hung_rows(result, before, after):
+    """Scores of both mountings as hung, under the same errors."""
+    metric, hung = metric_named(result["metric"]), [before["as_hung"], after["as_hung"]]
+    rows = _with_interval("detectable share [%]", map(share_texts, (before, after)))
+    low = ["" if one["nine_of_ten"] is None else DETECTABLE.number(one["nine_of_ten"], -1) for one in hung]
+    rows += [("nine of ten installations reach [%]", *low)] * any(low)
+    keys = "detectable_share_gain", "detectable_share_gain_interval_90"
+    rows += _with_interval("gain [percentage points]", [("", ""), measured(DETECTABLE, *(after[k] for k in keys), "+")])
+    for what, key in (
+        ("a degree off in one tilt, at worst [%]", "worst_degree"),
+        ("10 cm off, at worst [%]", "worst_10_cm"),
+    ):
+        rows.append((what, "", DETECTABLE.number(after[key], -1)))
+    values = (metric.number(one["objective_per_vehicle"], -1) for one in hung)
+    rows.append((metric.in_unit("objective per vehicle"), *values))
+    return rows + _gain_rows(metric, [after])
+
+
+def _gain_rows(metric, others):
+    """Gains in the objective per vehicle over the baseline, and their intervals."""
+    gain = f"gain{metric.per_vehicle}"
+    gain = f"{gain} [percentage points of the objective]" if metric.of_share else metric.in_unit(gain)
+    gains = (measured(metric, each["gain_over_baseline"], each["interval_90"], "+") for each in others)
+    return _with_interval(gain, [("", ""), *gains])
+
+
+def _score_rows(result, compared):
     """Scores of each mounting, as far as there are any; the first is the baseline, which gains nothing over itself."""
     metric, others = metric_named(result["metric"]), compared[1:]
-    rows = []
-    if not over:
-        rows += [(what, *(f"{each[key]:,}" for each in compared)) for what, key in _COUNTS.items()]
-    shares = map(share_texts, compared)
-    rows += _with_interval("detectable share [%]", shares)
-    if not over:
-        keys = "detectable_share_gain", "detectable_share_gain_interval_90"
-        gains = (measured(DETECTABLE, *(each[key] for key in keys), "+") for each in others)
-        rows += _with_interval("gain [percentage points]", [("", ""), *gains])
-    if "objective" in compared[0] and not over and not metric.of_share:
+    rows = [(what, *(f"{each[key]:,}" for each in compared)) for what, key in _COUNTS.items()]
+    rows += _with_interval("detectable share [%]", map(share_texts, compared))
+    keys = "detectable_share_gain", "detectable_share_gain_interval_90"
+    gains = (measured(DETECTABLE, *(each[key] for key in keys), "+") for each in others)
+    rows += _with_interval("gain [percentage points]", [("", ""), *gains])
+    if "objective" in compared[0] and not metric.of_share:
         rows.append((metric.in_unit("objective"), *(metric.number(each["objective"], -2) for each in compared)))
     values = (metric.number(each["objective_per_vehicle"], -1) for each in compared)
     rows.append((metric.in_unit("objective per vehicle"), *values))
-    if "gain_over_baseline" in compared[0]:
-        gain = "gain over the baseline as planned" if over else f"gain{metric.per_vehicle}"
-        gain = f"{gain} [percentage points of the objective]" if metric.of_share else metric.in_unit(gain)
-        gains = (measured(metric, each["gain_over_baseline"], each["interval_90"], "+") for each in others)
-        rows += _with_interval(gain, [("", ""), *gains])
-    if over:
-        kept = (each["gain_kept"] for each in others)
-        rows.append(("gain kept [%]", "", *("-" if share is None else f"{100 * share:.1f}" for share in kept)))
-    return rows
+    return rows + (_gain_rows(metric, others) if "gain_over_baseline" in compared[0] else [])
 
 
 _COUNTS = {"boxes (a vehicle in a frame)": "boxes", "different vehicles": "distinct_vehicles"}
@@ -200,7 +212,8 @@ def poles_table(result: Mapping) -> TextTable | None:
     rows = []
     for pole in poles:
         scores = pole["holdout"] or pole
-        cells = [f"{pole['height_on_pole_m']:.2f}", metric.number(scores["objective_per_vehicle"], -1), percent(scores)]
+        cells = [f"{pole['height_on_pole_m']:.2f}", metric.number(pole["objective_as_hung"], -1)]
+        cells.append(_hung_percent(scores["as_hung"]) if held else percent(scores))
         if held:
             ends, apart = scores["interval_90"], scores["differs"]
             difference, within = measured(metric, scores["difference_to_best"], ends, "+")
@@ -208,9 +221,15 @@ def poles_table(result: Mapping) -> TextTable | None:
         cells += ["" if pole["cost"] is None else f"{pole['cost']:g}", _YES[pole["existing"]]]
         rows.append((pole["name"], *cells))
     judged_on = "held-out frames" if held else f"{frames_word(result)} frames"
-    head = ["pole, best first", "height on it [m]", metric.in_unit("objective per vehicle"), "detectable"]
+    head = ["pole, best first", "height on it [m]", metric.in_unit("objective, searched frames")]
+    head.append(f"detectable{', as hung' * bool(held and errors_text(result))}")
     head += ["difference", "90 %, all together", "differs"] * held + ["cost", "existing"]
     return TextTable(f"Candidate poles, on {judged_on}", [_head(*head)], [("", rows)])
+
+
+def _hung_percent(hung):
+    """The detectable share as hung in per cent, with its interval where it has one."""
+    return percent({**hung, "detectable_share_interval_90": hung["interval_90"]})
 
 
 def _head(*texts):

@@ -40,6 +40,7 @@ def assumptions(site: Site, table: Mapping[str, np.ndarray]) -> list[str]:
     `table` is the vehicle table of the run's mounting.
     """
     grade, found = site.scenario.road.grade_percent, [*_heights(site.recording), *site.recording.report.assumed]
+    found += installation_assumed(site.scenario)
     for model in {one.model.name: one.model for one in site.each}.values():
         sensor, file = model.assumptions, "The sensor's file" if len(site.each) == 1 else f"The file of {model.name}"
         found += [f"{file} leaves open, and is taken to mean: {'; '.join(sensor.values())}"] if sensor else []
@@ -61,6 +62,25 @@ def assumptions(site: Site, table: Mapping[str, np.ndarray]) -> list[str]:
         boxes = f"{counted(int(beyond.sum()), 'box')} of {len(beyond):,} ({100 * beyond.mean():.0f} %)"
         found.append(f"In {boxes} the occupancy of a view is above 1/e: beyond that, more points lower the PE-VGOP")
     return found
+
+
+def installation_assumed(scenario: Scenario) -> list[str]:
+    """Within what half-widths each LiDAR hangs of its plan, and where these come from.
+
+    A digital level is exact to 0.1 degrees (Craftsman 320.48295, manual), the better inclinometers of phones to about a
+    degree (Buck, Martindale and Braden, cited by goniometer.io); in between lies what a bracket can be set to. No
+    standard for roadside LiDARs is known to us.
+    """
+    shaken = {lidar.name: lidar.deployment.installer for lidar in scenario.lidars}
+    shaken = {name: one.text for name, one in shaken.items() if not one.is_exact}
+    if not shaken:
+        return []
+    who = "The LiDAR hangs" if len(scenario.lidars) == 1 else f"{' and '.join(shaken)}: each hangs"
+    within = " or ".join(dict.fromkeys(shaken.values()))
+    return [
+        f"{who} within {within} of its plan, errors uniform and independent: tilts between a digital "
+        "level (0.1°) and a phone's inclinometer (1°), heights by tape, yaw by eye; `installer` in the scene changes it"
+    ]
 
 
 def _heights(recording: Recording) -> list[str]:

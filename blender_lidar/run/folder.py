@@ -37,11 +37,11 @@ from .verdict import ScoreMap
 
 RUN_SCHEMA = 1
 RESULT, CHECKPOINT, SCENE = "result.json", "checkpoint.json", "scene.toml"
-HISTORY, HISTORY_NOMINAL = "history.csv", "history_sharp.csv"
+HISTORY, HISTORY_CANDIDATES = "history.csv", "history_candidates.csv"
 VEHICLES, VEHICLES_BASELINE, SCORE_MAP = "vehicles.csv", "vehicles_baseline.csv", "score_map.csv"
 RANKING = "ranking.csv"
 INSTALLATION, REPORT, DETECTION = "installation.txt", "report.html", "detection.json"
-_FILES = (RESULT, CHECKPOINT, SCENE, HISTORY, HISTORY_NOMINAL)
+_FILES = (RESULT, CHECKPOINT, SCENE, HISTORY, HISTORY_CANDIDATES)
 _FILES += (VEHICLES, VEHICLES_BASELINE, SCORE_MAP, INSTALLATION, REPORT)
 _SCENE_MARK = "# The scene as blender_lidar "  # how a scene file begins that a run has written
 
@@ -197,7 +197,8 @@ class RunFolder:
     def write_history(self, name: str, history: np.ndarray, variables: tuple[str, ...]) -> None:
         """Write every evaluation: number, iteration, particle, variables, objective, best so far.
 
-        `name` is `HISTORY`, or `HISTORY_NOMINAL` for the search of mountings as planned beside one over a tolerance.
+        `name` is `HISTORY`, of what found the answer, or `HISTORY_CANDIDATES` of the search that found its candidates:
+        each frame under an installation error of its own.
         """
         numbers = ("evaluation", "iteration", "particle")
         columns = dict(zip((*numbers, *variables, "objective", "best"), history.T, strict=True))
@@ -246,11 +247,14 @@ class RunFolder:
 
     def read_history(self) -> np.ndarray:
         """The rows of history.csv, (evaluations, columns)."""
-        return np.column_stack([*self.read_columns().values()])
-
-    def read_columns(self) -> dict[str, np.ndarray]:
-        """The columns of history.csv by their names, (evaluations,) each."""
         with _columns_of(self.file(HISTORY)) as columns:
+            return np.column_stack([*columns.values()])
+
+    @property
+    def searched(self) -> dict[str, np.ndarray]:
+        """The columns of the history of the search itself by their names, (evaluations,) each."""
+        name = next(name for name in (HISTORY_CANDIDATES, HISTORY) if self.file(name).exists() or name == HISTORY)
+        with _columns_of(self.file(name)) as columns:
             return columns
 
     def _read_vehicles(self, name):

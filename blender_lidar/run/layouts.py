@@ -12,8 +12,8 @@ import numpy as np
 from ..scene.mounting import Layout
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
-from .tolerance import judged_rows
 from .vehicle_table import BoxShares, vehicle_tables
+from .verdict import judged_row
 
 
 def judge_layout(
@@ -84,7 +84,7 @@ class _Judged:
 
     def _of(self, layout: Layout):
         row = self._rows[layout]
-        return judged_rows(self._totals, slice(row, row + 1), self._block, self._recording)
+        return judged_row(self._totals, row, self._block, self._recording)
 
     def shares(self, before: Layout, after: Layout) -> BoxShares:
         """Detectable shares of two layouts, box by box."""

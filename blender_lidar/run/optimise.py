@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -22,19 +21,18 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..traffic.frames import NOTHING_HELD_OUT
 from .approach_files import write_approaches
+from .as_hung import HungObjective, searching
 from .assumptions import assumptions, site_name
-from .folder import CHECKPOINT, HISTORY, HISTORY_NOMINAL, RUN_SCHEMA, RunFolder
+from .folder import CHECKPOINT, HISTORY, HISTORY_CANDIDATES, RUN_SCHEMA, RunFolder
 from .layouts import judge_layout
 from .replay import Listener, Replay
 from .searches import SearchOutcome, search_layout, search_place
-from .tolerance import JUDGED_BASE, SEARCHED_BASE
 from .vehicle_table import add_shares, vehicle_tables
 from .verdict import (
     BASELINE_NAME,
-    NOMINAL,
     judge,
     judge_cross_fitted,
-    judge_over_tolerance,
+    judge_hung,
     map_verdict,
     rank_places,
 )
@@ -77,9 +75,7 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
         if site.scenario.deployment.poles:
             rows, best = rank_places(site, evaluator, spaces, [found.layouts["optimised"] for found in every])
             pole = spaces[best].places[0].pole
-        others = sum(
-            len(search.history) for found in every if found is not every[best] for search in found.searches[NOMINAL]
-        )
+        others = sum(found.evaluations for found in every if found is not every[best])
         return _conclude(site, folder, evaluator, started, every[best], rows, pole, others)
 
 
@@ -110,9 +106,7 @@ def evaluate_site(site: Site, folder: RunFolder, layout: Layout, pole: Pole | No
     folder.write_scene(site.scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
         layouts, none = {"optimised": layout, BASELINE_NAME: site.scenario.baselines}, (None,) * len(layout)
-        return _conclude(
-            site, folder, evaluator, started, SearchOutcome(layouts, {}, spaces=none, maps=none), pole=pole
-        )
+        return _conclude(site, folder, evaluator, started, SearchOutcome(layouts, spaces=none, maps=none), pole=pole)
 
 
 def rung_costs(search: MultiFidelitySearch) -> list[dict[str, object]]:
@@ -158,43 +152,36 @@ def _conclude(
     `poles` are all candidate places, ranked, of which `found` is the first, on its `pole`; `others` is how many
     evaluations were made on the others.
     """
-    layouts, searches, spread, without_block = found.layouts, found.searches, found.spread, found.without_block
+    layouts, searches, without_block = found.layouts, found.searches, found.without_block
     scenario, metric, seed = site.scenario, metric_named(site.scoring.metric), site.scenario.search.seed
-    for name, (history, variables) in zip((HISTORY, HISTORY_NOMINAL), reversed(found.histories.values()), strict=False):
+    for name, (history, variables) in zip((HISTORY, HISTORY_CANDIDATES), found.histories, strict=False):
         folder.write_history(name, history, variables)
-    judged, names = dict(layouts), [lidar.name for lidar in scenario.lidars]
+    names = [lidar.name for lidar in scenario.lidars]
+    of_maps = {best_of_map(name): one[1] for name, one in zip(names, found.maps, strict=True) if one is not None}
     for name, on_map in zip(names, found.maps, strict=True):
         if on_map is not None:
             folder.write_score_map(on_map[0], name if len(names) > 1 else "")
-            judged[best_of_map(name)] = on_map[1]
     if poles is not None:
         folder.write_ranking(poles)
     splits = {"search": evaluator, "holdout": evaluator.held_out}
-    tables = dict(zip(judged, vehicle_tables(list(judged.values()), **splits), strict=True))
+    tables = dict(zip(layouts, vehicle_tables(list(layouts.values()), **splits), strict=True))
     folder.write_vehicles(tables["optimised"], tables[BASELINE_NAME])
-    verdict = judge(site, judged, evaluator, seed)
-    groups = add_shares(site, verdict, tables, None if searches else seed)
-    crossed = None
+    verdict, crossed = judge(site, layouts, evaluator, seed), None
+    boxes = add_shares(site, verdict, tables, None if searches else seed)
+    split = "holdout" if verdict["optimised"]["holdout"] is not None else "search"
+    hung = judge_hung(site, evaluator, {**layouts, **of_maps}, boxes, split)
+    for name, scores in verdict.items():
+        (scores["holdout"] or scores)["as_hung"] = hung[name]
     if without_block is not None:
         crossed, boxes = judge_cross_fitted(site, evaluator, layouts, without_block, tables)
-        groups = boxes.groups(site)
-    evaluations = {name: sum(len(search.history) for search in parts) for name, parts in searches.items()}
-    tolerance = scenario.objective.tolerance
-    over_tolerance = (
-        None
-        if tolerance is None
-        else {
-            "settings": asdict(tolerance),
-            "searched_errors": SEARCHED_BASE[tolerance.aim] ** 2 if searches else None,
-            "judged_errors": JUDGED_BASE**2,
-            "evaluations": evaluations or None,
-            "robust": judge_over_tolerance(site, layouts, evaluator, seed),
-            "sharp": {**_deployed(scenario, layouts[NOMINAL]), **verdict[NOMINAL]} if searches else None,
-        }
-    )
-    lidars = _lidar_rows(site, evaluator, found, verdict)
-    every = (search for parts in searches.values() for search in parts)
-    rungs = [rung_costs(search) for search in every if isinstance(search, MultiFidelitySearch)]
+    groups, of_hung = boxes.groups(site), HungObjective(site, evaluator)
+    objective = dict(zip((*layouts, *of_maps), of_hung([*layouts.values(), *of_maps.values()]).tolist(), strict=True))
+    for name, scores in verdict.items():
+        scores["objective_as_hung"] = objective[name]
+        scores["objective_per_vehicle_as_hung"] = objective[name] / float(evaluator.weight.sum())
+    gains = {name: one["objective_gain"] for name, one in hung.items() if name != BASELINE_NAME}
+    lidars = _lidar_rows(site, evaluator, found, objective, gains if split == "holdout" else None)
+    rungs = [rung_costs(search) for search in searches if isinstance(search, MultiFidelitySearch)]
     result = {
         "schema": RUN_SCHEMA,
         "scene": Path(scenario.source).name,
@@ -212,10 +199,10 @@ def _conclude(
         "reading": scenario.objective.reading,
         "search": short_name(scenario.search.method) if searches else None,
         "seed": seed,
-        "evaluations": (sum(evaluations.values()) or 1) + others,
+        "evaluations": (found.evaluations or 1) + others,
         "fidelity": scenario.search.fidelity if searches else "full",
         "rungs": rungs[0] if rungs else None,
-        "spread": spread,
+        "spread": found.spread,
         **({"pole": _pole_row(pole)} if len(lidars) == 1 else {}),
         "poles": None if poles is None else list(poles),
         "frames": len(site.search),
@@ -232,7 +219,6 @@ def _conclude(
         "groups": groups,
         "baseline": {**_deployed(scenario, scenario.baselines), **verdict[BASELINE_NAME]},
         "cross_fitted": crossed,
-        "tolerance": over_tolerance,
         "other_traffic": other_traffic(site, layouts["optimised"]),
         "assumptions": assumptions(site, tables["optimised"]),
         "warnings": site.recording.report.warnings_as_dicts(),
@@ -265,22 +251,38 @@ def _deployed(scenario: Scenario, layout: Layout) -> dict[str, object]:
     return {"deployments": {lidar.name: mounting.as_table() for lidar, mounting in named}}
 
 
-def _lidar_rows(site: Site, evaluator: Evaluator, found: SearchOutcome, verdict: Mapping[str, dict]) -> list[dict]:
-    """Of each LiDAR its sensor, where it hangs and points, what was searched, and its score map in numbers."""
+def _lidar_rows(
+    site: Site,
+    evaluator: Evaluator,
+    found: SearchOutcome,
+    objective: Mapping[str, float],
+    gains: Mapping[str, float] | None,
+) -> list[dict]:
+    """Of each LiDAR its sensor, where it hangs and points, what was searched, and its score map in numbers.
+
+    `objective` is as hung, of the mountings by name, and `gains` those in it on held-out frames.
+    """
     layout, seed, rows = found.layouts["optimised"], site.scenario.search.seed, []
-    planned = NOMINAL if NOMINAL in found.layouts else "optimised"
+    weight, searched = float(evaluator.weight.sum()), {}
+    if any(one is not None for one in found.maps):
+        values = searching(site, evaluator).totals(list(found.layouts.values())).per_vehicle()
+        searched = dict(zip(found.layouts, values.tolist(), strict=True))
     of_each = zip(site.each, layout, site.scenario.baselines, found.spaces, found.maps, strict=True)
     for number, (one, mounting, baseline, space, on_map) in enumerate(of_each):
         name, map_row = one.scenario.lidar_name, None
         if on_map is not None:
-            scores = {**verdict, "best_of_map": verdict[best_of_map(name)]}
-            map_row = {**map_verdict(on_map[0], scores, planned, seed), "polished": number in found.polished}
+            called = {"optimised": "optimised", BASELINE_NAME: BASELINE_NAME, "best_of_map": best_of_map(name)}
+            hung = {key: objective[own] / weight for key, own in called.items()}
+            gained = gains and {key: gains[own] for key, own in called.items() if own in gains}
+            map_row = map_verdict(on_map[0], hung, searched, gained, seed)
+            map_row["polished"] = number in found.polished
         row = {
             "name": name,
             "sensor": one.model.name,
             "range_gate_m": one.scenario.sensor.range_gate_m,
             "imperfections": one.scenario.sensor.imperfections_as_table(),
             "price": one.scenario.sensor.price,
+            "installer": one.scenario.deployment.installer.as_setting(),
             "map": map_row,
             "bounds": None if space is None else {key: list(ends) for key, ends in space.places[0].bounds.items()},
             "deployment": mounting.as_table(),

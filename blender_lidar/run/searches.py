@@ -1,4 +1,4 @@
-"""What the searches of a run come to: of one place with its score map, over a tolerance, or of several LiDARs."""
+"""What the searches of a run come to: of one place with its score map, or of several LiDARs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import fields, replace
 from functools import partial
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -14,23 +13,20 @@ import numpy as np
 from ..optimise import DePso, DePsoSettings, Hardened, Search, make_search
 from ..optimise.hardened import Polish
 from ..optimise.multi_fidelity import MultiFidelitySearch
-from ..optimise.search import joined_history
+from ..optimise.search import joined_history, wrapped
 from ..scene.deployment import MOUNTING_OR_LEAN, SearchSpace
 from ..scene.mounting import Layout
 from ..scene.scenario import Scenario
-from ..scene.settings import Tolerance
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.fidelity import make_rungs
 from ..statistics import FEW_BLOCKS, FEWEST_BLOCKS, best_intervals_90, best_without_block, block_sums, of_blocks
+from .as_hung import HungObjective, is_exact, searching
 from .layout_search import LayoutObjective, LayoutSearch, coordinates_of, layout_history, on_same_masts
 from .replay import Listener, Replay
-from .tolerance import best_over_tolerance, objective_over
 from .verdict import (
     AXES,
     BASELINE_NAME,
-    NOMINAL,
-    ROBUST,
     ScoreMap,
     map_scores,
     with_coordinates,
@@ -38,6 +34,9 @@ from .verdict import (
 
 _EQUAL = 1e-9  # of the objective: values nearer to one another differ by rounding
 _POLISH = 60  # evaluations for each coordinate
+_CANDIDATES, _CANDIDATES_AUTO = 10, 4  # that are judged under more installation errors
+_POLISH_HUNG = 12  # evaluations for each coordinate, under these
+_APART = 0.04  # of the box, in one coordinate at least: nearer ones are polished into one another
 AUTO = "auto"  # the [search] fidelity of a search over several fidelities
 
 
@@ -47,11 +46,11 @@ class SearchOutcome(NamedTuple):
     Attributes
     ----------
     layouts : dict of str to Layout
-        The answer, the baseline and, over a tolerance, the best that hangs as planned.
-    searches : dict of str to searches
-        Of mountings as planned and over the tolerance, one after the other.
-    histories : dict of str to (rows, variables)
-        Of both, as files have them.
+        The answer and the baseline.
+    searches : sequence of searches
+        In the order in which they were carried out; the last is under more installation errors, if there are any.
+    histories : sequence of (rows, variables)
+        As files have them: of what found the answer, and where that had candidates from a search, of that.
     spaces : tuple of SearchSpace or None
         For each LiDAR what was searched, the others held; None where it was given.
     maps : tuple of (ScoreMap, Layout) or None
@@ -59,7 +58,7 @@ class SearchOutcome(NamedTuple):
     spread : dict or None
         What several coordinates came to.
     polished : set of int
-        For which LiDARs a point of their map is where the answer was found.
+        For which LiDARs a point of their map is where the search went on from.
     without_block : sequence of Layout, b, or None
         The best without each searched block, where too little is held out.
     steps : sequence of Layout
@@ -67,8 +66,8 @@ class SearchOutcome(NamedTuple):
     """
 
     layouts: Mapping[str, Layout]
-    searches: Mapping[str, Sequence[Search | MultiFidelitySearch]]
-    histories: Mapping[str, tuple[np.ndarray, Sequence[str]]] = MappingProxyType({})
+    searches: Sequence[Search | MultiFidelitySearch] = ()
+    histories: Sequence[tuple[np.ndarray, Sequence[str]]] = ()
     spaces: tuple[SearchSpace | None, ...] = (None,)
     maps: tuple[tuple[ScoreMap, Layout] | None, ...] = (None,)
     spread: Mapping | None = None
@@ -76,14 +75,19 @@ class SearchOutcome(NamedTuple):
     without_block: Sequence[Layout] | None = None
     steps: Sequence[Layout] = ()
 
+    @property
+    def evaluations(self) -> int:
+        """Mountings that the searches have scored."""
+        return sum(len(search.history) for search in self.searches)
+
 
 def search_place(
     site: Site, space: SearchSpace, evaluator: Evaluator, replay: Replay, listener: Listener
 ) -> SearchOutcome:
     """Search the best layout of a search space."""
-    scenario, label = site.scenario, space.places[0].label
-    tolerance, score_map = scenario.objective.tolerance, None
-    objective, first = LayoutObjective(site, evaluator), scenario.search.seed
+    scenario, label, score_map = site.scenario, space.places[0].label, None
+    searched = searching(site, evaluator)
+    objective, first = LayoutObjective(site, searched), scenario.search.seed
     score = partial(objective.of_points, space)
     seeds = [_seeded(site, space, seed) for seed in range(first, first + scenario.search.seeds)]
     for search in seeds:
@@ -92,49 +96,100 @@ def search_place(
     if scenario.search.fidelity != AUTO:  # it takes many times what such a search does
         plan, progress = site.plan, listener.mapping
         recording = plan.search_recording
-        score_map = map_scores(evaluator, space, best.best_x, plan.search_block, progress, recording=recording)
+        score_map = map_scores(searched, space, best.best_x, plan.search_block, progress, recording=recording)
     polish = _polish(site, space, score_map, best, label)
     if polish is not None:
         replay.carry_out(polish, score, listener)
-    searches = {NOMINAL: [*seeds, *([] if polish is None else [polish])]}
+    searches = [*seeds, *([] if polish is None else [polish])]
     polished = polish is not None and polish.best_value > best.best_value
     answer = (polish if polished else best).best_x
-    sharp = space.layout(answer)
-    layouts = {"optimised": sharp, BASELINE_NAME: (scenario.baseline,)}
     spread = without_block = None
     spreads = len(space.variables) > len(AXES) and scenario.search.fidelity != AUTO
     if spreads or _cross_fits(site):
-        tried, sums = objective.tried([(space, search) for search in searches[NOMINAL]])
+        tried, sums = objective.tried([(space, search) for search in searches])
     if _cross_fits(site):
         without_block = [tried[row] for row in best_without_block(sums)]
+    histories = [(joined_history([search.history for search in searches]), space.variables)]
+    x = np.concatenate([search.history[:, 3:-2] for search in searches])
+    if not is_exact(scenario):
+        values = np.concatenate([search.history[:, -2] for search in searches])
+        hung = _judge_best(site, space, (x, values), score_map, label)
+        _carry_out_hung(site, space, evaluator, hung, replay, listener)
+        searches, answer = [*searches, hung], hung.best_x
+        histories.insert(0, (hung.history, space.variables))
     if spreads:
-        x = np.concatenate([search.history[:, 3:-2] for search in searches[NOMINAL]])
         spread = _spread(site, space, seeds, (x, sums), evaluator.weight, answer)
-    if tolerance is not None:
-        robust = fresh_search(scenario, space)
-        robust.label = "search over the tolerance"
-        replay.carry_out(robust, partial(_over_tolerance, evaluator, space, tolerance), listener)
-        plans = [space.layout(robust.best_x), sharp]
-        layouts["optimised"] = best_over_tolerance(evaluator, plans, tolerance)
-        layouts[NOMINAL], searches[ROBUST] = sharp, [robust]
+    layouts = {"optimised": space.layout(answer), BASELINE_NAME: (scenario.baseline,)}
     on_map = None if score_map is None else (score_map, space.layout(_on_map(space, score_map, best.best_x)))
-    histories = {
-        name: (joined_history([search.history for search in parts]), space.variables)
-        for name, parts in searches.items()
-    }
     return SearchOutcome(
         layouts, searches, histories, (space,), (on_map,), spread, {0} if polished else set(), without_block
     )
 
 
+def _judge_best(
+    site: Site, space: SearchSpace, tried: tuple[np.ndarray, np.ndarray], score_map: ScoreMap | None, label: str
+) -> Polish:
+    """What judges the best few mountings that lie far apart under more installation errors, and polishes the best.
+
+    They are the best that were `tried`, x (n, d) and their objective (n,), and of the map. After a search over several
+    fidelities, which is there to be fast, they are fewer and nothing is polished.
+    """
+    auto, d = site.scenario.search.fidelity == AUTO, len(space.variables)
+    x, values = tried
+    if score_map is not None:
+        on_grid = _grid_points(space, score_map, x[int(np.argmax(values))])
+        x = np.concatenate([x, on_grid])
+        values = np.concatenate([values, score_map.block_objective.sum(axis=-1).ravel()])
+    starts = far_apart_best(x, values, space, _CANDIDATES_AUTO if auto else _CANDIDATES)
+    judge = Polish(
+        space.lower,
+        space.upper,
+        start=starts,
+        seed=site.scenario.search.seed,
+        evaluations=len(starts) + (0 if auto else _POLISH_HUNG * d),
+        step=_APART / 2.0,
+        periodic=space.periodic,
+    )
+    judge.label = ", ".join(filter(None, [label, "under more installation errors"]))
+    judge.variables = space.variables
+    return judge
+
+
+def far_apart_best(x: np.ndarray, values: np.ndarray, space: SearchSpace, most: int) -> np.ndarray:
+    """The best of some points (n, d) that lie at least `_APART` of the box from one another, the best first, (k, d)."""
+    lower, upper, periodic = (np.array(one) for one in (space.lower, space.upper, space.periodic))
+    shares, chosen = (x - lower) / (upper - lower), []
+    for row in np.argsort(-values, kind="stable").tolist():
+        away = [np.abs(wrapped(shares[row] - shares[other], periodic)).max() for other in chosen]
+        if min(away, default=np.inf) >= _APART:
+            chosen.append(row)
+        if len(chosen) == most:
+            break
+    return x[chosen]
+
+
+def _grid_points(space: SearchSpace, score_map: ScoreMap, x: Sequence[float]) -> np.ndarray:
+    """All points of a score map, row by row, through a point `x` (d,), (h * t, d)."""
+    axes = score_map.axes
+    pairs = ((h, t) for h in score_map.height_m.tolist() for t in score_map.tilt_deg.tolist())
+    return np.array([with_coordinates(space, x, **dict(zip(axes, pair, strict=True))) for pair in pairs])
+
+
+def _carry_out_hung(
+    site: Site, space: SearchSpace, evaluator: Evaluator, search: Polish, replay: Replay, listener: Listener
+) -> None:
+    objective = HungObjective(site, evaluator)
+    replay.carry_out(search, lambda x: objective([space.layout(row) for row in x]), listener)
+
+
 def search_layout(site: Site, evaluator: Evaluator, replay: Replay, listener: Listener) -> SearchOutcome:
     """Search the best layout of several LiDARs."""
-    scenario, _plan = site.scenario, site.plan
-    use, tolerance, objective = scenario.search, scenario.objective.tolerance, LayoutObjective(site, evaluator)
+    scenario, searched = site.scenario, searching(site, evaluator)
+    objective = LayoutObjective(site, searched)
     found = layout_search(site, objective, replay, listener)
     found.run()
     polished = set()
-    maps = [_map_of(site, evaluator, found, number, listener) for number in range(len(found.places))]
+    maps = [_map_of(site, searched, found, number, listener) for number in range(len(found.places))]
     for number, on_map in enumerate(maps):
         if on_map is None:
             continue
@@ -145,37 +200,28 @@ def search_layout(site: Site, evaluator: Evaluator, replay: Replay, listener: Li
             if found.accept(space, found.polish(space, start, f"{scenario.lidars[number].name}, polish")):
                 polished.add(number)
     if polished:  # the others hang elsewhere now than when the maps were made
-        maps = [_map_of(site, evaluator, found, number, listener) for number in range(len(found.places))]
+        maps = [_map_of(site, searched, found, number, listener) for number in range(len(found.places))]
     spaces = [None if place is None else found.space(number) for number, place in enumerate(found.places)]
-    sharp, searches = tuple(found.layout), {NOMINAL: [search for _, search in found.searches]}
-    layouts = {"optimised": sharp, BASELINE_NAME: scenario.baselines}
-    histories = {NOMINAL: layout_history(found)}
-    steps = [*found.steps[:-1], sharp]
+    searches, histories = [search for _, search in found.searches], [layout_history(found)]
     free = [number for number, place in enumerate(found.places) if place is not None and place.bounds]
     joint, without_block, spread = found.space(*free), None, None
     tried, sums = objective.tried(found.searches)
     if _cross_fits(site) and tried:
         without_block = [tried[row] for row in best_without_block(sums)]
-    alike = [row for row, one in enumerate(tried) if on_same_masts(one, sharp, joint)]
-    if free and alike:
-        at = found.point(*free)
-        spread = _spread(
-            site, joint, [], (coordinates_of(joint, [tried[row] for row in alike]), sums[alike]), evaluator.weight, at
-        )
-    if tolerance is not None and free:
-        robust = Polish(
-            joint.lower,
-            joint.upper,
-            start=np.array(found.point(*free)),
-            seed=use.seed,
-            evaluations=min(_POLISH * len(joint.lower), use.particles * use.iterations),
-            periodic=joint.periodic,
-        )
-        robust.label, robust.variables = "search over the tolerance", joint.variables
-        replay.carry_out(robust, partial(_over_tolerance, evaluator, joint, tolerance), listener)
-        layouts["optimised"] = best_over_tolerance(evaluator, [joint.layout(robust.best_x), sharp], tolerance)
-        layouts[NOMINAL], searches[ROBUST] = sharp, [robust]
-        histories[ROBUST] = robust.history, joint.variables
+    alike = [row for row, one in enumerate(tried) if on_same_masts(one, tuple(found.layout), joint)]
+    x = coordinates_of(joint, [tried[row] for row in alike]) if free and alike else None
+    if free and not is_exact(scenario):
+        known = (np.array([found.point(*free)]), np.array([found.value])) if x is None else (x, sums[alike].sum(axis=1))
+        hung = _judge_best(site, joint, known, None, "")
+        _carry_out_hung(site, joint, evaluator, hung, replay, listener)
+        found.layout = list(joint.layout(hung.best_x))
+        searches.append(hung)
+        histories.insert(0, (hung.history, joint.variables))
+    answer = tuple(found.layout)
+    layouts = {"optimised": answer, BASELINE_NAME: scenario.baselines}
+    steps = [*found.steps[:-1], answer]
+    if x is not None:
+        spread = _spread(site, joint, [], (x, sums[alike]), evaluator.weight, found.point(*free))
     return SearchOutcome(
         layouts, searches, histories, tuple(spaces), tuple(maps), spread, polished, without_block, tuple(steps)
     )
@@ -204,17 +250,12 @@ def layout_search(site: Site, objective: LayoutObjective, replay: Replay, listen
     return LayoutSearch(site, objective, replay, listener, make, use.particles * use.iterations)
 
 
-def _over_tolerance(evaluator: Evaluator, space: SearchSpace, tolerance: Tolerance, x: np.ndarray) -> np.ndarray:
-    """The objective over a tolerance at points of a space, (s,)."""
-    return objective_over(evaluator, [space.layout(row) for row in x], tolerance)
-
-
 def _cross_fits(site: Site) -> bool:
     """Whether too few blocks of time are held out, and those searched can judge as well."""
     scenario, plan = site.scenario, site.plan
     held_out = {int(one) for one, frame in zip(plan.holdout_block, site.holdout, strict=True) if frame.counted.any()}
     poles = any(len(lidar.deployment.places) > 1 for lidar in scenario.lidars)
-    able = scenario.objective.tolerance is None and not poles and scenario.search.fidelity != AUTO
+    able = not poles and scenario.search.fidelity != AUTO
     return able and len(held_out) < FEW_BLOCKS and len(np.unique(plan.search_block)) >= FEWEST_BLOCKS
 
 

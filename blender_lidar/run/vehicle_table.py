@@ -20,7 +20,14 @@ from ..scene.settings import ObjectiveSettings
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.scores import Scored
-from ..statistics import share_gain_interval_90, share_interval_90
+from ..statistics import (
+    block_sums,
+    drawn_blocks,
+    of_blocks,
+    share_gain_interval_90,
+    share_interval_90,
+    statistic_interval_90,
+)
 from ..traffic.frames import FramePlan
 from ..traffic.vehicles import Vehicles
 
@@ -230,7 +237,7 @@ class BoxShares:
     def __init__(
         self, before: Mapping, after: Mapping, block: np.ndarray, recording: np.ndarray, seed: int | None
     ) -> None:
-        self.before, self.after, self._block, self.recording, self._seed = before, after, block, recording, seed
+        self.before, self.after, self.block, self.recording, self._seed = before, after, block, recording, seed
 
     @classmethod
     def of_split(cls, before: Mapping, after: Mapping, split: str, plan: FramePlan, seed: int | None) -> BoxShares:
@@ -244,7 +251,7 @@ class BoxShares:
 
     def shares(self, rows: np.ndarray | slice = slice(None)) -> dict[str, object]:
         """Detectable shares of some rows before and after, their difference, and 90 % intervals, as JSON holds them."""
-        vehicle, block, recording = self.before["vehicle_id"][rows], self._block[rows], self.recording[rows]
+        vehicle, block, recording = self.before["vehicle_id"][rows], self.block[rows], self.recording[rows]
         before, after = self.before["detectable"][rows], self.after["detectable"][rows]
         ends, of = [None] * 3, (vehicle, block, self._seed, recording)
         if self._seed is not None:
@@ -266,8 +273,41 @@ class BoxShares:
         """90 % interval of the share of boxes with a flag, (n,) bool."""
         if self._seed is None:
             return None
-        ends = share_interval_90(flags, self.before["vehicle_id"], self._block, self._seed, self.recording)
+        ends = share_interval_90(flags, self.before["vehicle_id"], self.block, self._seed, self.recording)
         return ends and list(ends)
+
+    def with_detectable(self, before: np.ndarray, after: np.ndarray) -> BoxShares:
+        """The same boxes with other `detectable`, (n,) each: shares of installations, 0 to 1."""
+        tables = {**self.before, "detectable": before}, {**self.after, "detectable": after}
+        return BoxShares(*tables, self.block, self.recording, self._seed)
+
+    def low_share(self, detectable: np.ndarray, share: float) -> float | None:
+        """Quantile of the detectable share over a resampled set of blocks and one of equally likely installations.
+
+        `detectable` (m, n) is that of m installations, `share` which quantile; None where there is no interval.
+        """
+        if self._seed is None:
+            return None
+        boxes, strata = block_sums(np.ones(len(self.block)), self.block), of_blocks(self.recording, self.block)
+        if (drawn := drawn_blocks(boxes, self._seed, strata)) is None:
+            return None
+        _, weights, _ = drawn
+        hits = block_sums(detectable, self.block)
+        shares = np.einsum("rb,mb->rm", weights, hits) / (weights @ boxes)[:, None]
+        return float(np.quantile(shares, share))
+
+    def objective_gain(self, before: np.ndarray, after: np.ndarray) -> dict[str, object]:
+        """Objective per vehicle of two mountings, from those of boxes (n,), their difference and its 90 % interval."""
+        sums = [block_sums(values, self.block) for values in (before, after)]
+        weight = block_sums(vehicle_weight(self.before), self.block)
+        values = [float(one.sum() / weight.sum()) for one in sums]
+        ends = None
+        if self._seed is not None:
+            strata = of_blocks(self.recording, self.block)
+            lost = sums[1] - sums[0]
+            ends = statistic_interval_90(lambda of: (of @ lost) / (of @ weight), weight, self._seed, strata)
+        gain = {"gain": values[1] - values[0], "gain_interval_90": ends and list(ends)}
+        return {**dict(zip(("before", "after"), values, strict=True)), **gain}
 
     def share_scores(self, rows: np.ndarray | slice = slice(None)) -> dict[str, object]:
         """The same of the mounting beside the baseline, by the names that result.json has beside other scores."""
@@ -308,9 +348,7 @@ class BoxShares:
         return rows
 
 
-def add_shares(
-    site: Site, verdict: Mapping[str, dict], tables: Mapping[str, Mapping], seed: int | None
-) -> list[dict[str, object]]:
+def add_shares(site: Site, verdict: Mapping[str, dict], tables: Mapping[str, Mapping], seed: int | None) -> BoxShares:
     """Add to what `judge` says of each mounting its boxes, vehicles and detectable share with intervals.
 
     Parameters
@@ -324,8 +362,8 @@ def add_shares(
 
     Returns
     -------
-    list of dict
-        `BoxShares.groups` of the mounting on the frames that judge it.
+    BoxShares
+        Of the mounting on the frames that judge it.
     """
     held_out, shares_of = verdict["optimised"]["holdout"] is not None, {}
     for name, scores in verdict.items():
@@ -342,4 +380,4 @@ def add_shares(
                     scored |= judged.share_scores(chosen)
                     if name == "baseline" and scored["detectable_share_interval_90"]:  # it gains nothing over itself
                         scored["detectable_share_gain_interval_90"] = [0.0, 0.0]
-    return shares_of["optimised", "holdout" if held_out else "search"].groups(site)
+    return shares_of["optimised", "holdout" if held_out else "search"]

@@ -1,4 +1,4 @@
-"""The verdict on mountings: beside the baseline, as planned and over a tolerance; and over a score map.
+"""The verdict on mountings: beside the baseline, as planned and as hung; and over a score map.
 
 The score map is the objective over height and tilt: a picture of the whole landscape, and how certain its top is.
 """
@@ -15,14 +15,86 @@ from ..metrics.vehicle_metrics import TIE_BREAKER
 from ..scene.deployment import SearchSpace
 from ..scene.mounting import Layout
 from ..scene.site import Site
-from ..scoring.evaluation import Evaluator
-from ..statistics import block_sums, drawn_blocks, interval_90, many_to_one_reach_90, of_blocks
-from .tolerance import Judged, ToleranceLosses, judged_rows, losses_over_tolerance
-from .vehicle_table import BoxShares, vehicle_tables
+from ..scoring.evaluation import Evaluator, Totals
+from ..statistics import (
+    block_sums,
+    drawn_blocks,
+    interval_90,
+    many_to_one_reach_90,
+    of_blocks,
+    statistic_interval_90,
+)
+from .as_hung import Hung, HungObjective, hung_scores, judge_as_hung
+from .vehicle_table import BoxShares, vehicle_tables, vehicle_weight
 
 REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
 BASELINE_NAME = "baseline"
-NOMINAL, ROBUST = "sharp", "robust"  # mountings and their searches, as planned and over a tolerance, in result.json
+
+# --- Scores of a mounting on some frames ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """Scores of a mounting on some frames, as it is planned.
+
+    Attributes
+    ----------
+    totals : Totals, (1, f)
+    block : ndarray of int, (f,)
+        Block of time of each frame.
+    recording : ndarray of int, (f,), or None
+        Recording of each frame, where there are several.
+    """
+
+    totals: Totals
+    block: np.ndarray
+    recording: np.ndarray | None = None
+
+    @property
+    def per_vehicle(self) -> float:
+        """Objective per vehicle, in the metric's unit."""
+        return float(self.totals.per_vehicle()[0])
+
+    @property
+    def block_weight(self) -> np.ndarray:
+        """Weight of the vehicles of each block of time, (b,): their number where all weigh one."""
+        return block_sums(self.totals.weight, self.block)
+
+    def per_vehicle_under(self, weights: np.ndarray) -> np.ndarray:
+        """`per_vehicle` with each block of time counted `weights` (r, b) times, (r,)."""
+        sums = block_sums(self.totals.objective, self.block)
+        objective = np.einsum("rb,mb->rm", weights, sums)[:, 0]  # the same digits in any process, unlike BLAS
+        return objective / (weights @ self.block_weight)
+
+    def scores(self) -> dict[str, float]:
+        """Objective per vehicle and share of vehicles at or above the threshold, as result.json has them."""
+        share = float(self.totals.detectable_share()[0])
+        return {"objective_per_vehicle": self.per_vehicle, "detectable_share": share}
+
+    def gain_over(self, other: Judged, seed: int, called: str = "gain_over_baseline") -> dict[str, object]:
+        """Objective per vehicle over that of another mounting on the same frames, and its 90 % interval."""
+
+        def gain(weights: np.ndarray) -> np.ndarray:
+            return self.per_vehicle_under(weights) - other.per_vehicle_under(weights)
+
+        strata = None if self.recording is None else of_blocks(self.recording, self.block)
+        interval = statistic_interval_90(gain, self.block_weight, seed, strata)
+        return {called: self.per_vehicle - other.per_vehicle, "interval_90": interval and list(interval)}
+
+    def of_recording(self, number: int) -> Judged:
+        """The same on the frames of one recording."""
+        own, totals = self.recording == number, self.totals
+        objective, detectable = totals.objective[:, own], totals.detectable[:, own]
+        kept = Totals(objective, detectable, totals.vehicles[own], totals.weight[own])
+        return Judged(kept, self.block[own])
+
+
+def judged_row(totals: Totals, row: int, block: np.ndarray, recording: np.ndarray | None) -> Judged:
+    """A row of totals as the scores of one mounting."""
+    rows = slice(row, row + 1)
+    of_row = totals._replace(objective=totals.objective[rows], detectable=totals.detectable[rows])
+    return Judged(of_row, np.asarray(block), recording)
+
 
 # --- Beside the baseline: on the frames that chose a mounting, and on frames that did not -----------------------------
 
@@ -50,7 +122,7 @@ def judge(site: Site, layouts: Mapping[str, Layout], evaluator: Evaluator, seed:
 
     def planned(scorer: Evaluator, block: np.ndarray, recording: np.ndarray) -> dict[str, Judged]:
         totals = scorer.totals(list(layouts.values()))
-        return {name: judged_rows(totals, slice(row, row + 1), block, recording) for row, name in enumerate(layouts)}
+        return {name: judged_row(totals, row, block, recording) for row, name in enumerate(layouts)}
 
     searched, held_out = _on_both_splits(site, evaluator, planned)
     vehicles, block = evaluator.held_out.vehicles, site.plan.holdout_block
@@ -148,59 +220,53 @@ def judge_cross_fitted(
     of_box = np.concatenate([at, in_held])
     shares = BoxShares(tables[BASELINE_NAME], after, block[of_box], recording[of_box], seed)
     size = {"vehicles": len(of_box), "frames": len(block), "blocks": int((mounting.block_weight > 0).sum())}
+    hung = _hung_cross_fitted(site, evaluator, layouts, distinct, of_frame[at], shares)
     found = shares.share_scores()
     none = {"detectable_share_gain": 0.0, "detectable_share_gain_interval_90": [0.0, 0.0]}  # over itself
     before = {**found, **none, "detectable_share_interval_90": shares.shares()["before_interval_90"]}
     if found["detectable_share_gain_interval_90"] is None:
         before["detectable_share_gain_interval_90"] = None
     return {
-        name: {**one.scores(), **one.gain_over(base, seed), **size, **own}
+        name: {**one.scores(), **one.gain_over(base, seed), **size, **own, "as_hung": hung[name]}
         for name, one, own in (("optimised", mounting, found), (BASELINE_NAME, base, before))
     }, shares
 
 
-def judge_over_tolerance(site: Site, layouts: Mapping[str, Layout], evaluator: Evaluator, seed: int) -> dict[str, dict]:
-    """Scores of mountings over the scene's tolerance, on the searched and on the held-out frames.
+def _hung_cross_fitted(
+    site: Site,
+    evaluator: Evaluator,
+    layouts: Mapping[str, Layout],
+    distinct: Sequence[Layout],
+    of_box: np.ndarray,
+    boxes: BoxShares,
+) -> dict[str, dict]:
+    """The same as hung: of each searched box the layout of `distinct` (n,) that judges it, then the held-out boxes."""
+    before, chosen = _hung(site, evaluator, {BASELINE_NAME: layouts[BASELINE_NAME], **dict(enumerate(distinct))})
+    after = Hung.chosen(list(chosen.values()), of_box)
+    if evaluator.held_out.weight.sum():
+        held_before, held = _hung(site, evaluator.held_out, layouts)
+        before, after = Hung.joined([before, held_before]), Hung.joined([after, held["optimised"]])
+    base, found = judge_as_hung(boxes, before, after)
+    return {BASELINE_NAME: base, "optimised": found}
 
-    Parameters
-    ----------
-    layouts : mapping of str to Layout
-        The mountings by name; one is the ``"baseline"``. Gains are measured against it as planned.
-    evaluator, seed
-        As for `judge`.
 
-    Returns
-    -------
-    dict
-        For each name what `judge` says, but over the tolerance; and ``gain_kept``, the share of the gain as planned
-        that is kept, None without one, and ``loss_at_limits`` for each coordinate that is not exact. Where a mounting
-        is called ``"sharp"``, for the one called ``"optimised"`` also ``over_sharp`` in ``holdout``: by how much it is
-        better, as planned and over the tolerance.
-    """
-    tolerance = site.scenario.objective.tolerance
+def judge_hung(
+    site: Site, evaluator: Evaluator, layouts: Mapping[str, Layout], boxes: BoxShares, split: str
+) -> dict[str, dict]:
+    """Figures of mountings as hung, on the frames of a split: see `judge_as_hung`; under their own names."""
+    judging = evaluator.held_out if split == "holdout" else evaluator
+    before, found = _hung(site, judging, layouts)
+    figures = {name: judge_as_hung(boxes, before, one) for name, one in found.items()}
+    base, _ = figures["optimised"]
+    return {BASELINE_NAME: base, **{name: own for name, (_, own) in figures.items()}}
 
-    def losses(scorer: Evaluator, *blocks: np.ndarray) -> dict[str, ToleranceLosses]:
-        return {name: losses_over_tolerance(scorer, plan, tolerance, *blocks) for name, plan in layouts.items()}
 
-    def scores(split: Mapping[str, ToleranceLosses], name: str) -> dict:
-        kept = split[name].kept(split[BASELINE_NAME].planned.per_vehicle)
-        return {**split[name].installed.scores(), "gain_kept": kept, "loss_at_limits": split[name].limit_losses}
-
-    searched, held_out = _on_both_splits(site, evaluator, losses)
-    verdict = {}
-    for name, found in searched.items():
-        objective = found.installed.per_vehicle * evaluator.weight.sum().item()
-        verdict[name] = {"objective": objective, **scores(searched, name), "holdout": None}
-        if held_out:
-            gain = held_out[name].installed.gain_over(held_out[BASELINE_NAME].planned, seed)
-            verdict[name]["holdout"] = {**scores(held_out, name), **gain}
-    if held_out and NOMINAL in layouts:
-        robust, nominal = held_out["optimised"], held_out[NOMINAL]
-        verdict["optimised"]["holdout"]["over_sharp"] = {
-            "as_planned": robust.planned.gain_over(nominal.planned, seed, "objective_per_vehicle"),
-            "over_tolerance": robust.installed.gain_over(nominal.installed, seed, "objective_per_vehicle"),
-        }
-    return verdict
+def _hung(site: Site, judging: Evaluator, layouts: Mapping[str, Layout]) -> tuple[Hung, dict[str, Hung]]:
+    """Scores as hung of the baseline, and of the others by name."""
+    scenario = site.scenario
+    others = {name: plan for name, plan in layouts.items() if name != BASELINE_NAME}
+    (before,) = hung_scores(scenario, judging, [layouts[BASELINE_NAME]], shaken=not scenario.baseline_hangs)
+    return before, dict(zip(others, hung_scores(scenario, judging, list(others.values())), strict=True))
 
 
 def _on_both_splits(site: Site, evaluator: Evaluator, judged: Callable[..., dict]) -> list[dict]:
@@ -232,55 +298,70 @@ def rank_places(
     Returns
     -------
     rows : list of dict, k
-        Of each pole its table's values, ``deployment``, ``height_on_pole_m`` above its foot, scores on the searched
-        frames and in ``holdout``, there with ``difference_to_best``, its ``interval_90``, which hold for all poles
-        together (see `many_to_one_reach_90`), and whether that leaves nought out, ``differs``, by more than what
-        breaks ties. ``holdout`` is None where nothing was held out, the interval and ``differs`` where there are too
-        few blocks, and for the best.
+        Of each pole its table's values, ``deployment``, ``height_on_pole_m`` above its foot, scores as planned on the
+        searched frames and in ``holdout``, ``objective_as_hung`` per vehicle, by which they are ranked, and in
+        ``holdout`` ``as_hung``: the detectable share, and of the objective per vehicle ``difference_to_best``, its
+        ``interval_90``, which hold for all poles together (see `many_to_one_reach_90`), and whether that leaves nought
+        out, ``differs``, by more than what breaks ties. ``holdout`` is None where nothing was held out, the interval
+        and ``differs`` where there are too few blocks, and for the best.
     best : int
         Which of the poles is the first row.
     """
-    searched = evaluator.totals(plans)
-    order = np.argsort(-searched.objective.sum(axis=1), kind="stable")
-    held_out = evaluator.held_out.totals(plans) if evaluator.held_out.weight.sum() else None
-    reach, ties = None, 2.0 * TIE_BREAKER if metric_named(site.scoring.metric).of_share else 0.0
-    if held_out is not None:
-        blocks = (
-            block_sums(values, site.plan.holdout_block) for values in (held_out.objective[order], held_out.weight)
-        )
-        strata = of_blocks(site.plan.holdout_recording, site.plan.holdout_block)
-        reach = many_to_one_reach_90(*blocks, site.scenario.search.seed, strata)
-        values, tables = held_out.per_vehicle(), vehicle_tables(plans, holdout=evaluator.held_out)
+    searched, hung = evaluator.totals(plans), HungObjective(site, evaluator)(plans)
+    order = np.argsort(-hung, kind="stable")
+    held_out = _places_held_out(site, evaluator.held_out, [plans[row] for row in order])
     rows = []
     for rank, number in enumerate(order.tolist()):
         (place,), (mounting,) = spaces[number].places, plans[number]
         pole = place.pole
-        row = {
-            "rank": rank + 1,
-            "name": pole.name,
-            "foot_z_m": pole.foot_z_m,
-            "cost": pole.cost,
-            "existing": pole.existing,
-            "deployment": mounting.as_table(),
-            "height_on_pole_m": mounting.height_m - pole.foot_z_m,
-            "objective_per_vehicle": float(searched.per_vehicle()[number]),
-            "detectable_share": float(searched.detectable_share()[number]),
-            "holdout": None,
-        }
-        if held_out is not None:
-            less, off = float(values[number] - values[order[0]]), None if reach is None or not rank else reach[rank]
-            both, seed = (tables[order[0]], tables[number]), site.scenario.search.seed
-            shares = BoxShares.of_split(*both, "holdout", site.plan, seed).shares()
-            row["holdout"] = {
-                "objective_per_vehicle": float(values[number]),
-                "detectable_share": shares["after"],
-                "detectable_share_interval_90": shares["after_interval_90"],
+        rows.append(
+            {
+                "rank": rank + 1,
+                "name": pole.name,
+                "foot_z_m": pole.foot_z_m,
+                "cost": pole.cost,
+                "existing": pole.existing,
+                "deployment": mounting.as_table(),
+                "height_on_pole_m": mounting.height_m - pole.foot_z_m,
+                "objective_per_vehicle": float(searched.per_vehicle()[number]),
+                "detectable_share": float(searched.detectable_share()[number]),
+                "objective_as_hung": float(hung[number] / evaluator.weight.sum()),
+                "holdout": None if held_out is None else held_out[rank],
+            }
+        )
+    return rows, int(order[0])
+
+
+def _places_held_out(site: Site, judging: Evaluator, plans: Sequence[Layout]) -> list[dict] | None:
+    """What `rank_places` says of each plan on held-out frames, beside the first of them."""
+    if not judging.weight.sum():
+        return None
+    plan, seed = site.plan, site.scenario.search.seed
+    tables, hung = vehicle_tables(plans, holdout=judging), hung_scores(site.scenario, judging, plans)
+    planned = judging.totals(plans).per_vehicle()
+    boxes = [BoxShares.of_split(tables[0], table, "holdout", plan, seed) for table in tables]
+    block, recording = boxes[0].block, boxes[0].recording
+    sums = block_sums(np.array([one.objective.mean(axis=0) for one in hung]), block)
+    weight = block_sums(vehicle_weight(tables[0]), block)
+    reach = many_to_one_reach_90(sums, weight, seed, of_blocks(recording, block))
+    values = sums.sum(axis=1) / weight.sum()
+    ties, found = 2.0 * TIE_BREAKER if metric_named(site.scoring.metric).of_share else 0.0, []
+    for rank, (shares, one) in enumerate(zip(boxes, hung, strict=True)):
+        less, off = float(values[rank] - values[0]), None if reach is None or not rank else float(reach[rank])
+        _, figures = judge_as_hung(shares, hung[0], one)
+        as_planned = shares.shares()
+        found.append(
+            {
+                "objective_per_vehicle": float(planned[rank]),
+                "detectable_share": as_planned["after"],
+                "detectable_share_interval_90": as_planned["after_interval_90"],
+                "as_hung": {key: figures[key] for key in ("detectable_share", "interval_90", "nine_of_ten")},
                 "difference_to_best": less,
-                "interval_90": None if off is None else [less - float(off), less + float(off)],
+                "interval_90": None if off is None else [less - off, less + off],
                 "differs": None if off is None else bool(abs(less) > off + ties),
             }
-        rows.append(row)
-    return rows, int(order[0])
+        )
+    return found
 
 
 # --- The objective over height and tilt: a picture of the whole landscape, and how certain its top is -----
@@ -406,29 +487,40 @@ def map_scores(
     )
 
 
-def map_verdict(score_map: ScoreMap, verdict: Mapping[str, dict], found: str, seed: int) -> dict:
+def map_verdict(
+    score_map: ScoreMap,
+    hung: Mapping[str, float],
+    searched: Mapping[str, float],
+    gains: Mapping[str, float] | None,
+    seed: int,
+) -> dict:
     """The score map in numbers, regret of the search among them; shares of the gain are None without a gain.
 
     Parameters
     ----------
-    verdict : mapping
-        What `judge` says of the ``"baseline"``, of the ``"best_of_map"`` and of the mounting that was `found`.
+    hung : mapping of str to float
+        Objective per vehicle as hung, on the searched frames: of the ``"optimised"`` mounting, of the ``"baseline"``
+        and of the ``"best_of_map"``.
+    searched : mapping of str to float
+        That of the first two under the errors that the map is of.
+    gains : mapping of str to float, or None
+        Gains of the first and the last over the baseline on held-out frames, as hung; None where nothing was held out.
     seed : int
         For the resampling of blocks.
     """
     height, tilt, value = score_map.best
-    base, reached = (verdict[name]["objective_per_vehicle"] for name in (BASELINE_NAME, found))
-    best = max(value, reached)
-    gains = best > base
-    near_best = near_best_threshold(best, base, REGION_SHARE)
+    base, reached = hung[BASELINE_NAME], hung["optimised"]
+    best = max(hung["best_of_map"], reached)
+    top, bottom = max(value, searched["optimised"]), searched[BASELINE_NAME]
+    near_best = near_best_threshold(top, bottom, REGION_SHARE)
     intervals = score_map.optimum_intervals_90(seed)
     return {
         "points": list(score_map.per_vehicle.shape),
         "best": {"height_m": height, score_map.tilt: tilt, "objective_per_vehicle": value},
-        "search_shortfall": (best - reached) / (best - base) if gains else None,
-        "holdout_regret": _regret(*(verdict[name]["holdout"] for name in ("best_of_map", found))),
+        "search_shortfall": (best - reached) / (best - base) if best > base else None,
+        "holdout_regret": gains and _regret(gains["best_of_map"], gains["optimised"]),
         "optimum_interval_90": None if intervals is None else {key: list(pair) for key, pair in intervals.items()},
-        "share_within_1_percent": float((score_map.per_vehicle >= near_best).mean()) if gains else None,
+        "share_within_1_percent": float((score_map.per_vehicle >= near_best).mean()) if top > bottom else None,
     }
 
 
@@ -437,8 +529,6 @@ def near_best_threshold(best: float, baseline: float, share: float) -> float:
     return best - share * max(best - baseline, 0.0)
 
 
-def _regret(best: dict | None, found: dict | None) -> float | None:
-    """Share of the gain of the map's best mounting that the found one lacks, on held-out frames; below 0 if better."""
-    if best is None or not best["gain_over_baseline"] > 0.0:
-        return None
-    return 1.0 - found["gain_over_baseline"] / best["gain_over_baseline"]
+def _regret(best: float, found: float) -> float | None:
+    """Share of the gain of the map's best mounting that the found one lacks; below 0 if that is better."""
+    return 1.0 - found / best if best > 0.0 else None

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from ..errors import InputError, shown, unknown_name
 from ..names import SIDES
 from ..road.mapped import Road, map_of
 from ..road.straight import StraightRoad
-from ..toml_table import setting, settings_of
+from ..toml_table import Setting, setting, settings_of
 from .mounting import ANGLES, LEANS, Layout, Mounting, mounting_from
 
 if TYPE_CHECKING:
@@ -95,6 +95,55 @@ DEPLOYMENT["facing_deg"] = MOUNTING["facing_deg"]
 
 
 @dataclass(frozen=True, slots=True)
+class MountingErrors:
+    """How far off a LiDAR may be from where it is thought to hang: half-widths of independent uniform errors.
+
+    `tilt_deg` is of both tilts: the inclinometer that sets the one sets the other too.
+    """
+
+    tilt_deg: float = setting(0.0, low=0.0, high=10.0)
+    height_m: float = setting(0.0, low=0.0, high=1.0)
+    yaw_deg: float = setting(0.0, low=0.0, high=10.0)
+
+    @property
+    def half_widths(self) -> tuple[float, float, float, float]:
+        """Of height [m], tilt across, tilt along and yaw [rad]."""
+        return self.height_m, *map(math.radians, (self.tilt_deg, self.tilt_deg, self.yaw_deg))
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether there are none."""
+        return not any(self.half_widths)
+
+    @property
+    def text(self) -> str:
+        """They in words, such as "±0.5° of either tilt, ±0.05 m of height"; empty where there are none."""
+        widths = (self.tilt_deg, "° of either tilt"), (self.height_m, " m of height"), (self.yaw_deg, "° of yaw")
+        return ", ".join(f"±{width:g}{what}" for width, what in widths if width)
+
+
+@dataclass(frozen=True, slots=True)
+class Installer(MountingErrors):
+    """Installation errors: how far off its plan a LiDAR may end up.
+
+    `aim` is what of the objective over them a search maximises: its mean, or low, what nine of ten installations reach.
+    """
+
+    tilt_deg: float = setting(0.5, low=0.0, high=10.0)
+    height_m: float = setting(0.05, low=0.0, high=1.0)
+    yaw_deg: float = setting(2.0, low=0.0, high=10.0)
+    aim: str = setting("mean", allowed=("mean", "low"))
+
+    def as_setting(self) -> dict[str, object] | bool:
+        """What a scene file says of it."""
+        return False if self.is_exact else asdict(self)
+
+
+HANGS = Installer(tilt_deg=0.0, height_m=0.0, yaw_deg=0.0)
+"""Of a LiDAR that hangs already: `installer = false`."""
+
+
+@dataclass(frozen=True, slots=True)
 class StandSettings:
     """[deployment]: the keys of the place that are not coordinates.
 
@@ -108,14 +157,22 @@ class StandSettings:
         A gantry hangs over the lanes.
     clearance_m : float
         Least height of a LiDAR over the lanes [m], on a gantry.
+    installer : Installer
+        Installation errors, half-widths of independent uniform ones: tilt_deg=0.5 (both tilts), height_m=0.05,
+        yaw_deg=2; aim=low maximises what nine of ten installations reach, not the mean; false: it hangs already.
     """
 
     poles: str | None = setting(None, is_path=True)
     side: str | None = setting(None, allowed=SIDES)
     clearance_m: float = setting(5.0, low=0.0, high=20.0)
+    installer: Installer = setting(Installer(), off=HANGS, option="--installer")
 
 
 STAND = settings_of(StandSettings)
+BASELINE = MOUNTING_OR_LEAN | {
+    "installer": Setting(kind=bool, default=True, help="false: it hangs already, and no installation error shakes it")
+}
+"""[baseline]: a mounting, and whether installation errors shake it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,6 +362,8 @@ class Deployment:
         The road, where it has been read already.
     middle_xy : (float, float) or None
         The middle of the region, on a map [m].
+    installer : Installer
+        How far off its plan the LiDAR may end up.
     """
 
     fixed: Mapping[str, float]
@@ -317,6 +376,7 @@ class Deployment:
     faces_road: bool = False
     map: RoadMap | None = field(default=None, repr=False, compare=False)
     middle_xy: tuple[float, float] | None = None
+    installer: Installer = Installer()
 
     @property
     def road_map(self) -> RoadMap:
@@ -384,7 +444,7 @@ class Deployment:
             for key in ("x_m", "y_m"):
                 del table[key]
             table["poles"] = self.poles_file
-        return table
+        return {**table, "installer": self.installer.as_setting()}
 
     @property
     def places(self) -> tuple[Place, ...]:

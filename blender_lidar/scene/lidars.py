@@ -13,7 +13,7 @@ from ..road.road_map import RoadMap
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, setting, settings_of
 from ..traffic.vehicles import counted
-from .deployment import DEPLOYMENT, MOUNTING_OR_LEAN, STAND, Deployment, Place
+from .deployment import DEPLOYMENT, HANGS, MOUNTING_OR_LEAN, STAND, Deployment, Place
 from .mounting import Mounting
 from .places import baseline_from, deployment_from
 from .region import region_of
@@ -45,8 +45,7 @@ class HungLidar:
     @property
     def is_held(self) -> bool:
         """Whether it hangs already: it has one place and nothing to be searched."""
-        places = self.deployment.places
-        return len(places) == 1 and not places[0].bounds
+        return _held([self.deployment])[0]
 
     def as_table(self) -> dict[str, object]:
         """The entry of [[lidar]] that it is, spelt out."""
@@ -178,6 +177,33 @@ def deployments_from(
     return found
 
 
+def with_installers(tables: Sequence[TomlTable], deployments: Sequence[Deployment]) -> list[Deployment]:
+    """The same, of which those that hang already beside others that are searched have no installation errors.
+
+    Unless their own [[lidar]] says some: an option, which is of all, does not hang them anew.
+    """
+    held = _held(deployments)
+    if all(held):
+        return list(deployments)
+    own = ["installer" in table.values.keys() - table.origins.keys() for table in tables]
+    return [
+        replace(one, installer=HANGS) if is_held and not said else one
+        for one, is_held, said in zip(deployments, held, own, strict=True)
+    ]
+
+
+def check_aims(tables: Sequence[TomlTable], lidars: Sequence[HungLidar]) -> None:
+    """Refuse LiDARs of a layout that aim at different things: it is searched as one."""
+    aims = [one.deployment.installer.aim for one in lidars if not one.deployment.installer.is_exact]
+    if len(set(aims)) > 1:
+        raise InputError(f"{tables[0].where('installer')}: aims are {' and '.join(sorted(set(aims)))}; allowed: one")
+
+
+def _held(deployments: Sequence[Deployment]) -> list[bool]:
+    """Which LiDARs have one place and nothing to be searched."""
+    return [len(one.places) == 1 and not one.places[0].bounds for one in deployments]
+
+
 def _check_places(tables: Sequence[TomlTable], deployments: Sequence[Deployment]) -> None:
     """Refuse a LiDAR on a pole of another one, and fewer candidate poles than LiDARs that are to be put on them."""
     taken: dict[tuple[float, float], TomlTable] = {}
@@ -242,7 +268,7 @@ def baselines_from(
             f"{table.where(place)}: cannot be that of {len(tables)} LiDARs; allowed: in the baseline of a [[lidar]]"
         )
     middle, found = region_of(region, deployments[0].road_map).centre_xy, []
-    held = [len(one.places) == 1 and not one.places[0].bounds for one in deployments]
+    held = _held(deployments)
     for number, (own, deployment) in enumerate(zip(tables, deployments, strict=True)):
         given = own.table("baseline")
         if held[number] and not all(held) and not given.values:

@@ -19,11 +19,11 @@ from ..traffic.header import laid_out
 from ..traffic.source import Column, read_rows
 from . import usual
 from .deployment import (
+    BASELINE,
     COORDINATE_LIMITS,
     DEPLOYMENT,
     LEAN,
     MOUNTING,
-    MOUNTING_OR_LEAN,
     STAND,
     TURNS,
     Deployment,
@@ -96,7 +96,7 @@ def deployment_from(table: TomlTable, road: Road, road_map: RoadMap) -> Deployme
         Naming the key, or the file of poles.
     """
     found = table.read(DEPLOYMENT | STAND)
-    poles, clearance_m = found["poles"], found.pop("clearance_m")
+    poles, clearance_m, installer = found["poles"], found.pop("clearance_m"), found.pop("installer")
     given = {key: found[key] for key in DEPLOYMENT if key in table.values}
     straight = isinstance(road, StraightRoad)
     side = _stand(table, road, found, given) if straight else _stand_on_map(table, found, given)
@@ -115,7 +115,7 @@ def deployment_from(table: TomlTable, road: Road, road_map: RoadMap) -> Deployme
     _check_angles(table, searched)
     fixed = {key: value for key, value in found.items() if key not in searched}
     faces_road = "facing_deg" not in given and (not straight or road.faced_from_any_side)
-    deployment = Deployment(fixed, searched, (), None, road, side, clearance_m, faces_road, road_map)
+    deployment = Deployment(fixed, searched, (), None, road, side, clearance_m, faces_road, road_map, None, installer)
     if poles is None:
         return deployment
     if places := [key for key in ("x_m", "y_m") if key in given]:
@@ -156,7 +156,8 @@ def baseline_from(table: TomlTable, deployment: Deployment, region: RegionSettin
         x_m, y_m = nearest.x_m, nearest.y_m
     else:
         x_m, y_m = deployment.nominal_xy
-    given = {key: value for key, value in table.read(MOUNTING_OR_LEAN).items() if key in table.values}
+    given = {key: value for key, value in table.read(BASELINE).items() if key in table.values}
+    given.pop("installer", None)
     facing_deg = deployment.facing_at((given.get("x_m", x_m), given.get("y_m", y_m)))
     mast = mast_at(road, x_m, y_m, math.radians(facing_deg))
     upright = Mounting(mast, max(MOUNTING["height_m"].default, deployment.least_height_m))

@@ -18,8 +18,17 @@ from ..road.road_map import RoadMap
 from ..road.straight import StraightRoad
 from ..toml_table import read_toml
 from ..traffic.presets import meta_files
-from .deployment import Deployment
-from .lidars import OF_ANY_MODEL, HungLidar, baselines_from, deployments_from, lidar_where, sensor_from
+from .deployment import BASELINE, Deployment, Installer
+from .lidars import (
+    OF_ANY_MODEL,
+    HungLidar,
+    baselines_from,
+    check_aims,
+    deployments_from,
+    lidar_where,
+    sensor_from,
+    with_installers,
+)
 from .mounting import MOUNTED, Layout, Mounting, mounting_from
 from .places import baseline_from, deployment_from
 from .region import region_of
@@ -69,6 +78,8 @@ class Scenario:
         Of the LiDAR, of several the first.
     further_lidars : tuple of HungLidar
         The others.
+    baseline_hangs : bool
+        Whether the baseline hangs already, so that no installation error shakes it.
     """
 
     source: str
@@ -87,6 +98,7 @@ class Scenario:
     further_traffic: tuple[TrafficSettings, ...] = ()
     lidar_name: str = ""
     further_lidars: tuple[HungLidar, ...] = ()
+    baseline_hangs: bool = False
 
     @property
     def lidars(self) -> tuple[HungLidar, ...]:
@@ -111,6 +123,16 @@ class Scenario:
     def baselines(self) -> Layout:
         """The baseline of every LiDAR."""
         return tuple(lidar.baseline for lidar in self.lidars)
+
+    @property
+    def installers(self) -> tuple[Installer, ...]:
+        """How far off its plan each LiDAR may end up."""
+        return tuple(lidar.deployment.installer for lidar in self.lidars)
+
+    @property
+    def aim(self) -> str:
+        """What of the objective over installation errors is maximised: see `Installer`."""
+        return next((one.aim for one in self.installers if not one.is_exact), Installer().aim)
 
     @property
     def nominal_xy(self) -> tuple[float, float]:
@@ -197,8 +219,9 @@ class Scenario:
         kinds = ("road", "world", "sensor", "region", "objective", "search", "model", "plan")
         tables = dict(zip(self._traffic_tables, map(asdict, self.recordings), strict=True))
         tables |= {name: asdict(getattr(self, name)) for name in kinds}
+        tables["baseline"] = {"installer": not self.baseline_hangs}
         if not self.lidar_name:
-            tables["baseline"] = {key: self.baseline.as_table()[key] for key in MOUNTED}
+            tables["baseline"] |= {key: self.baseline.as_table()[key] for key in MOUNTED}
             return {**tables, "deployment": self.deployment.as_table()}
         sensors = {lidar.sensor.name: asdict(lidar.sensor) for lidar in self.lidars}
         own = {name: {key: of[key] for key in of if key not in OF_ANY_MODEL} for name, of in sensors.items()}
@@ -316,6 +339,7 @@ def scenario_of(
                 f"{tables['deployment'].name}: is given beside [[lidar]]; allowed: its keys in each [[lidar]]"
             )
         names, sensors, deployments = zip(*deployments_from(hung, tables["sensor"], road, road_map), strict=True)
+        deployments = with_installers(hung, deployments)
     else:
         names, sensors = [""], [sensor_from(tables["sensor"])]
         deployments = [deployment_from(tables["deployment"], road, road_map)]
@@ -326,20 +350,13 @@ def scenario_of(
         middle_xy = region_of(region, road_map).centre_xy
         deployments = [replace(one, middle_xy=middle_xy) for one in deployments]
     objective = objective_from(tables["objective"])
-    if any(one.poles for one in deployments) and objective.tolerance is not None:
-        where = tables["objective"].where("tolerance")
-        raise InputError(f"{where}: is given beside [deployment] poles; allowed: candidate places that hang as planned")
     if given:
         baselines = baselines_from(tables["baseline"], hung, deployments, region)
     else:
         baselines = [baseline_from(tables["baseline"], deployments[0], region)]
     lidars = list(map(HungLidar, names, sensors, deployments, baselines))
-    search = search_from(tables["search"], lidars, several=objective.tolerance is None)
-    if search.fidelity == "auto" and objective.tolerance is not None:
-        raise InputError(
-            f'{tables["search"].where("fidelity")}: "auto" searches mountings that hang as planned, but '
-            f'{tables["objective"].where("tolerance")} is given; allowed: fidelity = "full", or no tolerance'
-        )
+    check_aims(hung, lidars)
+    search = search_from(tables["search"], lidars)
     if given and len(lidars) == 1:
         where = partial(lidar_where, where, 1)
     return Scenario(
@@ -359,4 +376,5 @@ def scenario_of(
         further_traffic=tuple(further),
         lidar_name=lidars[0].name,
         further_lidars=tuple(lidars[1:]),
+        baseline_hangs=not tables["baseline"].some(BASELINE)["installer"],
     )

@@ -16,7 +16,7 @@ from ..optimise import SEARCHES, DePso, DePsoSettings, GridSearch, search_named
 from ..road.mapped import Road
 from ..road.road_map import RoadMap
 from ..road.straight import StraightRoad
-from ..toml_table import TomlTable, settings_of
+from ..toml_table import TomlTable
 from ..traffic.frames import DEFAULT_COUNT
 from ..traffic.vehicles import counted
 from .lidars import HungLidar, sensor_from
@@ -26,13 +26,13 @@ from .roads import road_from
 from .settings import (
     DECLARED,
     GATE,
+    INSTALLER,
     ModelSettings,
     ObjectiveSettings,
     PlanSettings,
     RegionSettings,
     SearchSettings,
     SensorSettings,
-    Tolerance,
     TrafficSettings,
     WorldSettings,
 )
@@ -54,6 +54,8 @@ def scene_tables(
     Of several recordings, [[traffic]], the second table is called "traffic 2", and so of [[lidar]].
     """
     tables = {}
+    if "lidar" in values and INSTALLER in overrides:
+        overrides = {("lidar", place[1]) if place == INSTALLER else place: one for place, one in overrides.items()}
     for name in DECLARED:
         given = {key: option for (table, key), option in overrides.items() if table == name}
         contents = values.get(name, {})
@@ -201,6 +203,11 @@ def world_from(table: TomlTable, road: Road) -> WorldSettings:
 
 
 def objective_from(table: TomlTable) -> ObjectiveSettings:
+    if "tolerance" in table.values:
+        raise InputError(
+            f"{table.where('tolerance')}: is called installer now; allowed: in [deployment] or a [[lidar]], such as "
+            "installer = { tilt_deg = 1.0, height_m = 0.05 }, or false for a LiDAR that hangs already"
+        )
     objective = table.read_as(ObjectiveSettings)
     metric_named(objective.metric, table.where("metric"))
     scored = objective.scored_classes
@@ -209,10 +216,6 @@ def objective_from(table: TomlTable) -> ObjectiveSettings:
             raise InputError(
                 f"{table.where('class_weights')}: {name} is not scored; allowed: those of classes, {', '.join(scored)}"
             )
-    if objective.tolerance is not None and not objective.tolerance.half_widths:
-        keys = ", ".join(key for key in settings_of(Tolerance) if key != "aim")
-        where = table.table("tolerance").name
-        raise InputError(f"{where}: leaves every coordinate exact; allowed: at least one of {keys} above 0")
     for number, zone in enumerate(objective.zones, start=1):
         check_polygon(zone.polygon_m, f"{table.where('zones')} {number} polygon_m")
     if objective.loss is None and objective.metric == PE_VGOP.name:
@@ -220,18 +223,18 @@ def objective_from(table: TomlTable) -> ObjectiveSettings:
     return objective
 
 
-def search_from(table: TomlTable, lidars: Sequence[HungLidar], *, several: bool) -> SearchSettings:
-    """[search]; `several` says whether nothing else speaks against several searches with their own seeds."""
+def search_from(table: TomlTable, lidars: Sequence[HungLidar]) -> SearchSettings:
+    """[search]."""
     search = table.read_as(SearchSettings)
     if len(lidars) > 1 and search.fidelity != "full":
         raise InputError(
             f"{table.where('fidelity')}: is {search.fidelity!r} with {len(lidars)} LiDARs; allowed: full, as a move of "
             "one LiDAR costs one cast already"
         )
-    several &= search.fidelity == "full" and search.method != GridSearch.name and len(lidars) == 1
+    several = search.fidelity == "full" and search.method != GridSearch.name and len(lidars) == 1
     if (search.seeds or 1) > 1 and not several:
         raise InputError(
-            f"{table.where('seeds')}: is {search.seeds}; allowed: 1 with a tolerance, with fidelity = "
+            f"{table.where('seeds')}: is {search.seeds}; allowed: 1 with fidelity = "
             '"auto", with several LiDARs, and with a grid, which draws nothing'
         )
     most = max(len(place.bounds) for lidar in lidars for place in lidar.deployment.places)

@@ -36,13 +36,13 @@ from ..names import (
 from ..road.mapped import MappedRoad
 from ..road.straight import StraightRoad
 from ..toml_table import setting, settings_of
-from .deployment import DEPLOYMENT, HEADING, MOUNTING_OR_LEAN, STAND
-from .mounting import COORDINATES
+from .deployment import BASELINE, DEPLOYMENT, HEADING, STAND, MountingErrors
 
 if TYPE_CHECKING:
     from ..sensors.imperfections import Imperfections
 
 DATASHEET = "datasheet"  # in place of a number: the model's own
+INSTALLER = "deployment", "installer"  # of every [[lidar]] where a scene has these
 GATE = "gate"  # in place of a radius: the sensor's range gate
 _LARGEST_ORIGIN_M = 1e9  # of a place in a net; sums and squares stay finite
 _FARTHEST_M = 1e6  # rays are cast in single precision, which beyond has steps of decimetres
@@ -278,28 +278,6 @@ class ZoneSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Tolerance:
-    """[objective] tolerance: how far off its plan a mounting may end up, as half-widths.
-
-    Each error is uniform between minus and plus its half-width and independent of the others. Beyond the limits it is
-    another mounting and not an error. `tilt_deg` is of both tilts: the inclinometer that sets the one sets the other
-    too. `aim` says what is maximised of the objective over these errors: its mean, or what it reaches in nine cases of
-    ten.
-    """
-
-    height_m: float = setting(0.0, low=0.0, high=1.0)
-    tilt_deg: float = setting(0.0, low=0.0, high=10.0)
-    yaw_deg: float = setting(0.0, low=0.0, high=10.0)
-    aim: str = setting("mean", allowed=("mean", "low"))
-
-    @property
-    def half_widths(self) -> dict[str, float]:
-        """Of each coordinate that is not exact [m, degrees]."""
-        widths = (self.height_m, self.tilt_deg, self.tilt_deg, self.yaw_deg)
-        return {key: width for key, width in zip(COORDINATES[2:], widths, strict=True) if width > 0.0}
-
-
-@dataclass(frozen=True, slots=True)
 class ObjectiveSettings:
     """[objective]: what is maximised.
 
@@ -317,9 +295,6 @@ class ObjectiveSettings:
     loss : float or None
         Score of a vehicle below the threshold, in the metric's unit; by default -1 with pe-vgop, and the vehicle's own
         value with any other metric.
-    tolerance : Tolerance or None
-        Installation errors to allow for, to either side: tilt_deg=1,height_m=0.05, also yaw_deg; aim=mean (default)
-        maximises the mean over these errors, aim=low what nine of ten installations reach; none: no errors.
     classes : tuple of str or None
         Classes that are scored, while other vehicles only hide them; by default all but pedestrian, who are left out
         unless they are named here or [world] pedestrians has them.
@@ -336,7 +311,6 @@ class ObjectiveSettings:
     threshold: float = setting(0.005, low=0.0, high=1.0)
     view: str = setting("mean", allowed=VIEWS)
     loss: float | None = setting(None, low=-_MOST_LOSS, high=_MOST_LOSS)
-    tolerance: Tolerance | None = setting(None, option="--tolerance")
     classes: tuple[str, ...] | None = setting(None, allowed=CLASSES)
     class_weights: Mapping[str, float] = setting(allowed=CLASSES, low=0.0, high=_LARGEST_WEIGHT)
     zones: tuple[ZoneSettings, ...] = setting(())
@@ -501,6 +475,9 @@ class ModelSettings:
         Number of worker processes; 0 is one for each processor.
     cluster : str or None
         Address of a dask scheduler whose workers are used in place of processes: tcp://host:8786.
+    pose_error : MountingErrors or None
+        For detect and dataset: a LiDAR hangs elsewhere than its detector believes, by one draw within these
+        half-widths, such as tilt_deg=1,height_m=0.05; none: it knows.
     """
 
     caster: str = setting("auto", allowed=("auto", *CASTERS), option="--caster")
@@ -508,6 +485,7 @@ class ModelSettings:
     cluster: str | None = setting(
         None, option="--cluster", rivals=("workers",), fits=_is_address, form="such as tcp://host:8786"
     )
+    pose_error: MountingErrors | None = setting(None, option="--pose-error")
 
 
 DECLARED = {
@@ -518,7 +496,7 @@ DECLARED = {
     "deployment": DEPLOYMENT | STAND,
     "plan": settings_of(PlanSettings),
     "region": settings_of(RegionSettings),
-    "baseline": MOUNTING_OR_LEAN,
+    "baseline": BASELINE,
     "objective": settings_of(ObjectiveSettings),
     "search": settings_of(SearchSettings),
     "model": settings_of(ModelSettings),

@@ -8,7 +8,7 @@ else.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import accumulate, chain, pairwise
@@ -17,10 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import within_blender
+from ..scene.installation import installed_layout
 from ..scene.mounting import Layout, poses_of
 from ..scene.observation import CountedFrame, Observation, Scoring
 from ..scene.settings import ModelSettings
 from ..scene.site import Site
+from ..sensors.pose import Pose
 from .cluster import ClusterWorkers
 from .fidelity import Fidelity, coarse_observation
 from .frame_scorer import FrameScorer, FrameShapes
@@ -81,8 +83,8 @@ class Totals(NamedTuple):
     ----------
     objective : ndarray, (s, f)
         Eq. 10, in the metric's unit.
-    detectable : ndarray of int64, (s, f)
-        Vehicles at or above the threshold.
+    detectable : ndarray, (s, f)
+        Vehicles at or above the threshold: whole numbers, or their mean over installation errors.
     vehicles : ndarray of int64, (f,)
         Vehicles that count.
     weight : ndarray, (f,)
@@ -145,6 +147,7 @@ class Evaluator:
         self.frames, self._held_out, self.metric = tuple(frames), tuple(held_out), scoring.metric
         self.lidars = tuple(lidar.name for lidar in observation.lidars)
         self._first = 0  # place of the first of them among all frames
+        self._errors: np.ndarray | None = None
         self._turn = np.arange(len(self.frames) + len(self._held_out)) * _GOLDEN % 1.0  # of each, wherever asked for
         self._work = _Work(self.frames, self._held_out, observation, scoring)
         self._workplace = Workplace(workers, cluster)
@@ -172,7 +175,17 @@ class Evaluator:
     def held_out(self) -> Evaluator:
         """Scores the held-out frames in the same processes; a metric with a memory learns from those alone."""
         other = copy(self)
-        other.frames, other._held_out, other._first = self._held_out, (), len(self.frames)
+        other.frames, other._held_out, other._first, other._errors = self._held_out, (), len(self.frames), None
+        return other
+
+    def under(self, errors: np.ndarray | None) -> Evaluator:
+        """Scores the same frames in the same processes, each frame under installation errors of its own.
+
+        `errors` (f, e, l, 4) are as of `scene.installation`; `totals` are then means over the e of each frame. None
+        are those of LiDARs that hang as planned.
+        """
+        other = copy(self)
+        other._errors = errors
         return other
 
     def totals(
@@ -189,23 +202,53 @@ class Evaluator:
             What the frames are seen through, by `coarse_observation`; the observation itself when left out.
         """
         chosen = np.arange(len(self.frames)) if frames is None else np.array(frames, dtype=int)
-        sums = np.array(self._carried_out(_sums, chosen, layouts, fidelity)).reshape(len(chosen), 2, len(layouts))
-        objective, found = np.moveaxis(sums, 0, -1).copy()
-        return Totals(objective, found.astype(np.int64), self.vehicles[chosen], self.weight[chosen])
+        found = self._carried_out(_sums, chosen, layouts, fidelity)
+        sums = np.reshape(found, (len(chosen), self._each, 2, len(layouts))).mean(axis=1)
+        objective, detectable = np.moveaxis(sums, 0, -1).copy()
+        if self._errors is None:
+            detectable = detectable.astype(np.int64)
+        return Totals(objective, detectable, self.vehicles[chosen], self.weight[chosen])
 
     def by_vehicle(self, layouts: Sequence[Layout]) -> list[Scored]:
-        """What s layouts make of each counted vehicle, for each frame; without the returns themselves."""
-        return self._carried_out(_without_returns, np.arange(len(self.frames)), layouts, None)
+        """What s layouts make of each counted vehicle, for each frame, as planned; without the returns themselves."""
+        found = self.under(None)._carried_out(_without_returns, np.arange(len(self.frames)), layouts, None)
+        return [of_frame for (of_frame,) in found]
+
+    @property
+    def _each(self) -> int:
+        """Installation errors of each frame."""
+        return 1 if self._errors is None else self._errors.shape[1]
 
     def _carried_out(self, what: Callable, chosen: np.ndarray, layouts: Sequence[Layout], fidelity: Fidelity | None):
-        """What a function makes of the scores of each frame; the frames go out in as many parts as there are calls."""
+        """What a function makes of the scores of each frame, under each of its installation errors.
+
+        The frames go out in as many parts as there are calls.
+        """
         order = np.argsort(self._turn[self._first + chosen], kind="stable")
         frames = (self._first + chosen[order]).tolist()
-        ends = accumulate(self.workers.sizes(len(frames), len(layouts)), initial=0)
-        poses = tuple(map(poses_of, layouts))
-        tasks = [(what, frames[start:stop], poses, fidelity) for start, stop in pairwise(ends)]
+        if self._errors is None:
+            poses = ((tuple(map(poses_of, layouts)),),) * len(frames)
+        else:
+            poses = Installed(tuple(layouts), self._errors[chosen[order]])
+        ends = accumulate(self.workers.sizes(len(frames), len(layouts) * self._each), initial=0)
+        tasks = [(what, frames[start:stop], poses[start:stop], fidelity) for start, stop in pairwise(ends)]
         found = list(chain.from_iterable(self.workers.map(*zip(*tasks, strict=True))))
         return [found[place] for place in np.argsort(order)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Installed:
+    """Layouts under the installation errors of some frames, (f, e, l, 4): poses by frame, error and layout."""
+
+    layouts: tuple[Layout, ...]
+    errors: np.ndarray
+
+    def __getitem__(self, frames: slice) -> Installed:
+        return Installed(self.layouts, self.errors[frames])
+
+    def __iter__(self) -> Iterator[list[list[tuple[Pose | None, ...]]]]:
+        for errors in self.errors:
+            yield [[poses_of(installed_layout(layout, error)) for layout in self.layouts] for error in errors]
 
 
 def _sums(scored: Scored) -> np.ndarray:
@@ -237,12 +280,13 @@ class _Work:
     def __getstate__(self):
         return {**vars(self), "_scorers": {}, "_shapes": {}, "_seen": {}}
 
-    def __call__(self, what, frames, layouts, fidelity):
+    def __call__(self, what, frames, poses, fidelity):
+        """Of each frame a list: what is made of the scores of layouts under each of its installation errors."""
         found = []
-        for frame in frames:
+        for frame, of_errors in zip(frames, poses, strict=True):
             observation, scores = self._through(fidelity, frame >= len(self._groups[0]))
-            scored = scores.of(self._frames[frame], self._scorer(frame, fidelity, observation), layouts)
-            found.append(what(scored))
+            scorer = self._scorer(frame, fidelity, observation)
+            found.append([what(scores.of(self._frames[frame], scorer, layouts)) for layouts in of_errors])
         return found
 
     def _through(self, fidelity, held_out):

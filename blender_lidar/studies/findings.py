@@ -6,7 +6,6 @@ mounting as planned, or the best known. A verdict comes from the 90 % interval o
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -16,10 +15,10 @@ import numpy as np
 
 from ..metrics.catalogue import DETECTABLE
 from ..metrics.metric import Metric
-from ..run.tolerance import LOW_SHARE, tolerance_text
-from ..scene.deployment import variable_of
+from ..run.as_hung import LOW_SHARE
+from ..scene.deployment import Installer, variable_of
+from ..scene.installation import limit_errors
 from ..scene.mounting import COORDINATE_NAMES
-from ..scene.settings import Tolerance
 from ..statistics import FEW_VEHICLES, FEWEST_BLOCKS, best_without_block, block_sums, interval_90, student_t_95
 from .candidates import BASELINE, FIRST, Candidates
 from .driver import Landscape, percent
@@ -402,33 +401,36 @@ def _range(values: Sequence[float], digits: int) -> str:
 
 
 def installation_findings(
-    hung: Landscape, tolerance: Tolerance, judges: Judges, names: Sequence[str] = ("",)
+    hung: Landscape, installers: Sequence[Installer], judges: Judges, names: Sequence[str] = ("",)
 ) -> list[Finding]:
     """A line for each coordinate that is off to either side, and one for all.
 
     Parameters
     ----------
     hung : Landscape
-        Of the baseline, the mounting as planned, for each coordinate of the tolerance less and more of it by its
-        half-width, and errors that stand for all; so for each LiDAR.
-    tolerance : Tolerance
+        Of the baseline, the mounting as planned, each coordinate less and more by its half-width, in the order of
+        `limit_errors`, and errors that stand for all.
+    installers : sequence of Installer
+        Of each LiDAR.
     judges : Judges
     names : sequence of str
         Names of the LiDARs, where there are several.
     """
     lines, row = [], RIVAL
-    for lidar, (key, half_width) in itertools.product(names, tolerance.half_widths.items()):
-        name, unit = COORDINATE_NAMES[key]
+    for lidar, key, _ in limit_errors(installers):
+        (name, unit), widths = COORDINATE_NAMES[key], asdict(installers[lidar])
+        half_width = widths.get(key, widths["tilt_deg"])  # of both tilts
         for side in ("less", "more"):
-            change = (MOUNTING, f"{lidar} {name}".lstrip(), f"{half_width:g} {unit} {side}")
+            change = (MOUNTING, f"{names[lidar]} {name}".lstrip(), f"{half_width:g} {unit} {side}")
             lines.append(judged_finding(change, [beside(hung, row, FIRST)], judges, "as planned"))
             row += 1
-    errors = np.arange(row, len(hung.objective))
-    if tolerance.aim == "low":  # the installation than which one in ten is worse
+    errors, aim = np.arange(row, len(hung.objective)), next(one.aim for one in installers if not one.is_exact)
+    if aim == "low":  # the installation than which one in ten is worse
         errors = errors[np.argsort(hung.per_vehicle()[errors])[[int(LOW_SHARE * len(errors))]]]
     draws = [beside(hung, error, FIRST) for error in errors]
-    aim = "on average" if tolerance.aim == "mean" else "in nine of ten installations at most"
-    more = f"; {aim} within {tolerance_text(asdict(tolerance))}"
+    on_average = "on average" if aim == "mean" else "in nine of ten installations at most"
+    texts = dict.fromkeys(one.text for one in installers if not one.is_exact)
+    more = f"; {on_average} within {' or '.join(texts)}"
     return [*lines, judged_finding((MOUNTING, "all of these together", ""), draws, judges, "as planned", more)]
 
 

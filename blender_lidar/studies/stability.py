@@ -14,11 +14,12 @@ import numpy as np
 
 from ..metrics.catalogue import METRICS, metric_named
 from ..plugins import short_name
+from ..run.as_hung import is_exact
 from ..run.searches import fresh_search
-from ..run.tolerance import JUDGED_BASE, at_limits, installation_errors, installed_layouts
+from ..scene.deployment import Installer
+from ..scene.installation import installed_layout, limit_errors, orthogonal_errors
 from ..scene.mounting import Layout
 from ..scene.scenario import Scenario
-from ..scene.settings import Tolerance
 from ..scene.site import Site
 from ..scoring.evaluation import site_evaluator
 from ..scoring.fidelity import with_fewer_frames
@@ -54,7 +55,7 @@ from .findings import (
 from .variations import MOUNTING, SECTIONS, TRAFFIC, metric_variations, sensor_variations, traffic_variations
 
 STABILITY_SCHEMA = 4  # of the stages and of the result
-USUAL = Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=2.0, aim="mean")
+_ERRORS_BASE = 11  # its square is how many installation errors stand for all
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +130,7 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, la
     answers = _answers(folder, whole, effort)
     own = tuple(_layout_of(scene, answer) for answer in answers)
     reference, names = layout or own[0], lidar_names(scene)
-    tolerance = scene.objective.tolerance or USUAL
+    installers = (Installer(),) * len(names) if is_exact(scene) else scene.installers
 
     fine = grid_candidates(scene, reference, effort.heights, effort.fine_tilts)
     splits = tuple(dict.fromkeys((SEARCHED, judging)))
@@ -142,11 +143,12 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, la
         gain_finding(beside(judged, BASELINE, kept), judges),
         optimum_finding(searched, judged, fine, site.plan.search_block, seed),
     ]
-    off_plan = [one for pair in at_limits(reference, tolerance, names).values() for one in pair]
-    off_plan += installed_layouts(reference, installation_errors(tolerance, JUDGED_BASE))
+    limits = limit_errors(installers)
+    errors = [one for *_, pair in limits for one in pair] + [*orthogonal_errors(installers, _ERRORS_BASE)]
+    off_plan = [installed_layout(reference, error) for error in errors]
     hung = Job(Variation(MOUNTING, "installation", ""), (scene.baselines, reference, *off_plan), judging)
     (off,) = folder.landscapes(few, [hung], "installation errors")
-    findings += installation_findings(off, tolerance, judges_of_changes, names)
+    findings += installation_findings(off, installers, judges_of_changes, names)
     coarse = grid_candidates(scene, reference, effort.heights, effort.tilts)
     varied = [
         replace(AS_IT_IS, section=TRAFFIC),
@@ -176,7 +178,7 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, la
         "mounting_given": layout is not None,
         "objective_per_vehicle": float(values[FIRST]),
         "baseline_per_vehicle": float(values[BASELINE]),
-        "tolerance": asdict(tolerance),
+        "installers": [one.as_setting() for one in installers],
         "seeds": answers,
         "findings": [asdict(finding) for finding in findings],
         **({"leans": True} if fine.leans else {}),
