@@ -51,7 +51,7 @@ PARTS = {  # settings of the hard world that belong together
     "range noise": ("range_noise_m",),
     "drop-out, glass": ("dropout", "glass_dropout"),
     "weak returns": ("range_at_10_percent_m",),
-    "mounting off by 1 deg, 5 cm": ("tolerance",),
+    "mounting off by 1 deg, 5 cm": ("pose_error",),
 }
 MEASURED = ("recall_0.1", "precision_0.1", "recall_0.3", "precision_0.3", "ap_centre_2m", "ap_iou_0.5", "ap_iou_0.7")
 

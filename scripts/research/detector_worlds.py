@@ -36,18 +36,14 @@ def hard_world() -> Options:
         ("sensor", "dropout"): 0.02,
         ("sensor", "glass_dropout"): 0.5,
         ("sensor", "range_at_10_percent_m"): "datasheet",
-        ("objective", "tolerance"): {"height_m": 0.05, "tilt_deg": 1.0},
+        ("model", "pose_error"): {"height_m": 0.05, "tilt_deg": 1.0},
     }
     return {place: (value, place[1]) for place, value in settings.items()}
 
 
 def crossing_world() -> Options:
-    """The hard world at an intersection on its map, where people walk; maps have neither clutter nor slopes.
-
-    Candidate poles have no tolerance; whoever takes one of them gives it that of the hard world.
-    """
-    left_out = ("road", "objective")
-    kept = {place: given for place, given in hard_world().items() if place[0] not in left_out and place[1] != "clutter"}
+    """The hard world at an intersection on its map, where people walk; maps have neither clutter nor slopes."""
+    kept = {place: given for place, given in hard_world().items() if place[0] != "road" and place[1] != "clutter"}
     return kept | {("objective", "classes"): (CLASSES, "classes")}
 
 

@@ -26,7 +26,6 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -46,7 +45,6 @@ from blender_lidar.files import check_place, make_folder, read_file, whole_file,
 from blender_lidar.road.road_map import wrap_angle
 from blender_lidar.scene.deployment import MOUNTING
 from blender_lidar.scene.scenario import Scenario, load_scenario
-from blender_lidar.scene.settings import Tolerance
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
 from blender_lidar.studies.candidates import at_one_place
@@ -240,12 +238,10 @@ def _reflectivities(paint: float, glass: float) -> Iterator[None]:
 
 
 def _at_crossing(number: int, options: Options) -> Scenario:
-    """The scene of one of the poles of the shipped intersection, with the hard world's errors of installation."""
+    """The scene of one of the poles of the shipped intersection."""
     scenario = load_scenario(SCENES / "crossing.toml", {**crossing_world(), **options})
     poles = [place.pole.name for place in scenario.deployment.places]
-    scenario = at_one_place(scenario, poles[number % len(poles)])
-    tolerance = Tolerance(**hard_world()["objective", "tolerance"][0])
-    return replace(scenario, objective=replace(scenario.objective, tolerance=tolerance))
+    return at_one_place(scenario, poles[number % len(poles)])
 
 
 def window_of(sample: Sample, gate_m: float, rng: np.random.Generator, left_m: float, crossed: bool = False) -> Window:
