@@ -327,8 +327,11 @@ class TomlTable:
                 raise InputError(f"{self.where(key)}: is missing")
             return declared.default
         if dataclasses.is_dataclass(kind):
-            off = value is False and declared.off is not None
-            return declared.off if off else self.table(key).read_as(kind)
+            if declared.off is not None and not isinstance(value, Mapping):
+                if value is not False:
+                    raise _refused(self.where(key), value, "a table, or false")
+                return declared.off
+            return self.table(key).read_as(kind)
         if dataclasses.is_dataclass(entry):
             if not isinstance(value, list | tuple):
                 raise _refused(self.where(key), value, "a list of tables")
