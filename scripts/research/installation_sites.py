@@ -9,8 +9,10 @@ from __future__ import annotations
 import csv
 import math
 import shutil
+import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import NamedTuple
 
@@ -147,12 +149,14 @@ class Net(NamedTuple):
         scene, data = folder.parent / "1_scene", sorted(str(path) for path in folder.glob("*/fcd.xml.gz"))
         if not (scene / "scene.toml").exists():
             types = [word for path in named.types[:1] for word in ("--vehicle-types", str(path.resolve()))]
-            if command_line(["init", str(scene), "--from", "sumo", data[0], "--net", str(named.net.resolve()), *types]):
-                raise BlenderLidarError(f"{self.config}: init proposes no site there")
+            asked = ["init", str(scene), "--from", "sumo", data[0], "--net", str(named.net.resolve()), *types]
+            with redirect_stdout(sys.stderr):
+                if command_line(asked):
+                    raise BlenderLidarError(f"{self.config}: init proposes no site there")
         tables = read_toml(scene / "scene.toml")
         with (scene / tables["deployment"].pop("poles")).open(encoding="utf-8") as file:
             pole = next(csv.DictReader(file))
-        tables["traffic"] = [{**tables["traffic"], "path": path} for path in data]
+        tables["traffic"] = [{**tables["traffic"], "path": path, "name": Path(path).parent.name} for path in data]
         tables["deployment"] |= {key: float(pole[key]) for key in ("x_m", "y_m")}
         return tables
 
