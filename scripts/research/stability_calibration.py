@@ -54,9 +54,9 @@ class Road(NamedTuple):
     highest_m: float
 
 
-def roads(number: int) -> list[Road]:
+def roads(number: int, seed: int = 31) -> list[Road]:
     """Scenes of many kinds, the same each time."""
-    rng = np.random.default_rng(31)
+    rng = np.random.default_rng(seed)
     return [
         Road(
             1 + k % 4,
