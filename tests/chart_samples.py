@@ -66,7 +66,8 @@ def mount(height_m: float, tilt_x_deg: float = 0.0, **others: float) -> dict[str
 
 def scores(value: float, height_m: float, tilt_x_deg: float) -> dict:
     """A mounting as result.json has it."""
-    return {"deployment": mount(height_m, tilt_x_deg), "objective_per_vehicle": value}
+    values = dict.fromkeys(("objective_per_vehicle", "objective_per_vehicle_as_hung"), value)
+    return {"deployment": mount(height_m, tilt_x_deg), **values}
 
 
 def score_map() -> ScoreMap:
@@ -90,6 +91,7 @@ def run_of(seen: dict | None = None, /, *, metric: str = "pe-vgop", **changes: o
         "holdout": None,
         **scores(0.8, 4.0, 20.0),
         "baseline": scores(0.2, 2.0, 0.0),
+        "lidars": [{"name": "", "installer": False}],
     }
     run = RunFolder("nowhere")
     run.result = result | changes
@@ -110,10 +112,10 @@ def approach_groups() -> list[dict[str, object]]:
     ]
 
 
-def history() -> np.ndarray:
+def history() -> dict[str, np.ndarray]:
     """What a search tried: numbers, objectives and the best so far."""
     best = np.maximum.accumulate(np.random.default_rng(5).random(50))
-    return np.column_stack([np.arange(1.0, 51.0), best - 0.1, best])
+    return {"evaluation": np.arange(1.0, 51.0), "objective": best - 0.1, "best": best}
 
 
 def cloud(seed: int, number: int = 500) -> SimpleNamespace:

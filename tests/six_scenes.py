@@ -78,13 +78,15 @@ def two_recordings_with_poles(folder: Path) -> Path:
     return path
 
 
-def weights_zones_and_tolerance(folder: Path) -> Path:
+def weights_zones_and_installer(folder: Path) -> Path:
     """Classes and places that count more, a mounting that may end up off its plan, and a search of another method."""
     zone = {"name": "merge", "polygon_m": [[-20.0, 0.0], [0.0, 0.0], [0.0, 9.0], [-20.0, 9.0]], "weight": 2.5}
     objective = {"classes": ["car", "van", "truck"], "class_weights": {"car": 0.5, "truck": 2.0}}
     objective |= {"zones": [zone], "threshold": 0.0123456789}
-    objective |= {"tolerance": {"tilt_deg": 1.0, "height_m": 0.05}, "loss": -0.5, "view": "max"}
-    return _written(folder, objective=objective, search={"method": "random"}, baseline={"lean_deg": 7.5}, **REGION)
+    objective |= {"loss": -0.5, "view": "max"}
+    installer = {"tilt_deg": 1.0, "height_m": 0.05, "yaw_deg": 1.5}
+    more = {"search": {"method": "random"}, "baseline": {"lean_deg": 7.5}, "deployment": {"installer": installer}}
+    return _written(folder, objective=objective, **more, **REGION)
 
 
 SCENES: dict[str, Callable[[Path], Path]] = {
@@ -95,6 +97,6 @@ SCENES: dict[str, Callable[[Path], Path]] = {
         utm_polygon,
         slope_and_crown,
         two_recordings_with_poles,
-        weights_zones_and_tolerance,
+        weights_zones_and_installer,
     )
 }

@@ -163,15 +163,6 @@ def test_it_serves_any_scene(tmp_path, changes, capsys):
     assert np.isfinite(found["objective"])
 
 
-def test_a_tolerance_is_refused_in_one_line(tmp_path, capsys):
-    scene = write_scene(tmp_path, AUTO)
-    code, _, err = cli(capsys, "optimise", scene, "--tolerance", "tilt_deg=1", "--out", tmp_path / "run")
-    assert (code, err.count("\n")) == (2, 1)
-    assert "[search] fidelity" in err
-    assert "--tolerance" in err
-    assert not (tmp_path / "run").exists()
-
-
 def test_another_word_is_refused_by_the_option_and_by_the_scene(tmp_path, capsys):
     code, _, err = cli(capsys, "optimise", write_scene(tmp_path, {"search": {"fidelity": "ful"}}))
     assert (code, err.count("\n")) == (2, 1)

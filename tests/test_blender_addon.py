@@ -175,7 +175,7 @@ def test_what_several_recordings_cannot_share_is_refused_by_name(tmp_path):
 
 
 def test_a_setting_without_a_field_is_shown_and_an_error_in_it_names_the_file(tmp_path):
-    path = SCENES["weights_zones_and_tolerance"](tmp_path)
+    path = SCENES["weights_zones_and_installer"](tmp_path)
     lidar, scene = loaded(path), bpy.context.scene
     assert "[objective] classes, class_weights, zones, tolerance, loss, view" in scenarios.without_field(scene, lidar)
     (tmp_path / "poles.csv").write_text("name,x_m,y_m\na,0,0\n", encoding="utf-8")

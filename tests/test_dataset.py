@@ -166,8 +166,8 @@ def test_noise_and_clutter_are_of_each_scan(tmp_path):
 
 
 def test_a_lidar_hangs_off_its_plan_by_draws_of_each_scan(tmp_path):
-    tolerance = {"objective": {"tolerance": {"tilt_deg": 2.0, "height_m": 0.1}}}
-    plan = plan_dataset(site_of(tmp_path, tolerance), mountings=2, scans=10)
+    error = {"model": {"pose_error": {"tilt_deg": 2.0, "height_m": 0.1}}}
+    plan = plan_dataset(site_of(tmp_path, error), mountings=2, scans=10)
     off = [np.degrees(scan.hangs.tilt_x - scan.mount.tilt_x) for scan in plan.scans]
     assert len(set(off)) == 10
     assert max(map(abs, off)) <= 2.0

@@ -173,7 +173,7 @@ def test_clouds_of_a_recording_give_the_boxes_that_those_of_a_scan_do(tmp_path, 
 def test_a_lidar_that_hangs_off_its_plan_costs_overlap(scene, tmp_path, capsys):
     """The classical detector looks at ranges, so that it finds as much, but at places that are off."""
     scores = []
-    for number, words in enumerate(((), ("--tolerance", "tilt_deg=5,yaw_deg=5,height_m=0.3"))):
+    for number, words in enumerate(((), ("--pose-error", "tilt_deg=5,yaw_deg=5,height_m=0.3"))):
         words = *words, "--out", tmp_path / str(number), "--json"
         result = json.loads(done(capsys, "detect", scene, *MOUNT, *CLASSICAL, *words)[0])
         scores.append(result["mountings"]["given"])

@@ -12,7 +12,7 @@ import pytest
 from blender_lidar.cli import main
 from blender_lidar.commands.progress import RunProgress
 from blender_lidar.errors import InputError
-from blender_lidar.report.cautions import cautions, costliest_text, optimum_text
+from blender_lidar.report.cautions import cautions, optimum_text
 from blender_lidar.report.page import report_html
 from blender_lidar.report.run_figures import plot_steps
 from blender_lidar.report.summary import answer, conditions, each_lidar, key_figures, leans, over_single_text, run_text
@@ -136,13 +136,6 @@ def test_a_bound_that_is_reached_is_told_with_the_name_and_the_table(result):
     assert "[lidar]" in notes[0]
 
 
-def test_the_costliest_error_is_that_of_one_lidar(result):
-    scores = {"gain_kept": 0.9, "holdout": None, "loss_at_limits": {"south.height_m": [0.5, 0.1]}}
-    settings = {"aim": "mean", "height_m": 0.1, "tilt_deg": 1.0, "yaw_deg": 0.0}
-    result |= {"tolerance": {"settings": settings, "robust": {"optimised": scores}, "sharp": None}}
-    assert "height of south" in costliest_text(result)
-
-
 def test_range_gates_and_imperfections_are_told_of_each_where_they_differ(result):
     assert run_text(result).count("range gate 20 m") == 1
     assert not conditions(result)
@@ -212,12 +205,11 @@ def test_evaluate_tells_of_a_given_layout_without_a_search(tmp_path, capsys, mon
     assert "a bound of" not in out
 
 
-def test_a_layout_over_a_tolerance_beside_one_that_hangs_already_is_told(tmp_path, capsys):
+def test_a_layout_with_errors_beside_one_that_hangs_already_is_told(tmp_path, capsys):
     held = {**NORTH, "height_m": 4.0, "tilt_x_deg": 15.0}
-    tolerance = {"objective": {"tolerance": {"tilt_deg": 1.0, "height_m": 0.1}}}
-    scene = write_layout(tmp_path, held, SOUTH, **tolerance)
+    scene = write_layout(tmp_path, held, {**SOUTH, "installer": {"tilt_deg": 1.0}})
     out, _ = done(capsys, "optimise", scene, "--out", tmp_path / "r")
-    for text in ("what hung already (north)", "sharp", "gain kept [%]", "Searched   north: nothing"):
+    for text in ("what hung already (north)", "As hung (±1° of either tilt, ", "Searched   north: nothing"):
         assert text in out
     assert not any(line.startswith("north: Other traffic") for line in out.splitlines())
     assert (tmp_path / "r" / "convergence.png").exists()

@@ -48,13 +48,11 @@ def test_each_seed_is_the_search_that_it_would_be_alone(tmp_path, capsys):
     assert [one["deployment"] for one in spread["seeds"][::2]] == [one["deployment"] for one in alone]
 
 
-@pytest.mark.parametrize(
-    "words", [("--fidelity", "auto"), ("--tolerance", "tilt_deg=1"), ("--search", "grid")], ids=lambda words: words[0]
-)
+@pytest.mark.parametrize("words", [("--fidelity", "auto"), ("--search", "grid")], ids=lambda words: words[0])
 def test_several_seeds_are_refused_where_there_is_one_search_of_its_own_kind(tmp_path, capsys, words):
     scene = write_scene(tmp_path, THREE)
     line = refused(capsys, tmp_path, "optimise", scene, "--seeds", 2, *words, "--out", "run")
-    assert "--seeds: is 2; allowed: 1 with a tolerance" in line
+    assert "--seeds: is 2; allowed: 1 with fidelity" in line
 
 
 def test_every_sentence_of_an_optimum_in_more_than_two_coordinates_names_them_all(tmp_path, capsys):

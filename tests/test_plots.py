@@ -123,7 +123,8 @@ def test_headings_legend_and_panels_do_not_cover_each_other(name, drawn):
 
 
 def test_convergence_leaves_out_candidates_without_a_value(tmp_path, figures):
-    tried = np.array([[1.0, np.nan, np.nan], [2.0, -np.inf, np.nan], [3.0, 0.6, 0.6]])
+    tried = {"evaluation": np.array([1.0, 2.0, 3.0]), "best": np.array([np.nan, np.nan, 0.6])}
+    tried["objective"] = np.array([np.nan, -np.inf, 0.6])
     plot_convergence(tmp_path / "c.png", run_of(vehicles=2, baseline=scores(0.1, 2, 0)), tried)
     dots = next(line for line in figures[0].axes[0].lines if line.get_label() == "one candidate")
     np.testing.assert_array_equal(dots.get_xdata(), [3.0])
@@ -132,25 +133,15 @@ def test_convergence_leaves_out_candidates_without_a_value(tmp_path, figures):
     assert "baseline mounting (0.100 bits)" in words(figures[0])
 
 
-def over_tolerance(**changes):
-    """What a search over a tolerance came to: the robust mounting at 3 m, the sharp one at the top of the map."""
-    return run_of(
-        **scores(0.7, 3.0, 10.0),
-        tolerance={"sharp": scores(0.8, 4.0, 20.0), "robust": {"baseline": scores(0.05, 2.0, 0.0)}},
-        **changes,
-    )
-
-
-def test_charts_over_a_tolerance_tell_the_sharp_mounting_from_the_robust_one(tmp_path, figures):
-    plot_convergence(tmp_path / "c.png", over_tolerance(), history())
-    plot_score_map(tmp_path / "m.png", over_tolerance(), score_map())
-    convergence, landscape = map(words, figures)
-    assert "Search over the tolerance: de-pso, seed 1, corrected reading" in convergence
-    assert "baseline mounting (0.050 bits)" in convergence
+def test_charts_tell_the_objective_as_hung(tmp_path, figures):
+    hung = {**scores(0.7, 3.0, 10.0), "objective_per_vehicle_as_hung": 0.6}
+    run = run_of(**hung, lidars=[{"name": "", "installer": {"tilt_deg": 1.0}}])
+    plot_convergence(tmp_path / "c.png", run, history())
+    plot_score_map(tmp_path / "m.png", run, score_map())
+    assert "Search under installation errors: de-pso, seed 1, corrected reading" in words(figures[0])
     legend = [text.get_text() for text in figures[1].legends[0].get_texts()]
-    assert [text.split(":")[0] for text in legend[:3]] == ["sharp", "robust", "baseline"]
-    assert [text.split("\n")[1] for text in legend[:3]] == ["0.800 bits", "0.700 bits", "0.200 bits"]
-    assert "optimum" not in landscape
+    assert [text.split(":")[0] for text in legend[:2]] == ["optimum", "baseline"]
+    assert legend[0].split("\n")[1] == "0.600 bits"
 
 
 def test_the_score_map_outlines_the_mountings_near_the_best(tmp_path, figures, monkeypatch):

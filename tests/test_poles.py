@@ -88,7 +88,6 @@ def test_a_table_that_cannot_be_used_is_one_line(tmp_path, capsys, rows, fault):
     [
         ({"deployment": {"poles": "poles.csv"}}, "[region] centre_m = [27, -20], radius_m = 20"),
         ({**CHANGES, "deployment": {"poles": "poles.csv", "x_m": 3.0}}, "has poles and x_m"),
-        ({**CHANGES, "objective": {"tolerance": {"tilt_deg": 1.0}}}, "is given beside [deployment] poles"),
         ({**REGION, "deployment": {"x_m": [0.0, 20.0, 40.0]}}, "several places are a table of poles"),
         ({**CHANGES, "deployment": {"poles": "no.csv"}}, "no.csv"),
     ],

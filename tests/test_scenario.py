@@ -11,7 +11,7 @@ import pytest
 from blender_lidar.errors import InputError
 from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.scenario import load_scenario, scenario_of
-from blender_lidar.scene.settings import DECLARED, Tolerance
+from blender_lidar.scene.settings import DECLARED
 from blender_lidar.sensors.model import load_model
 from blender_lidar.toml_table import to_toml
 from tests.scene_texts import MINIMAL, own_sensor, refusal, scene
@@ -137,7 +137,7 @@ LIMITS = [  # a table, a key, and a value just beyond what its meaning allows
     ("region", "polygon_m", "[[0, 0], [1, 0], [1, 1e9]]"),
     ("objective", "threshold", "1.5"),
     ("objective", "view", '"top"'),
-    ("objective.tolerance", "tilt_deg", "11"),
+    ("deployment.installer", "tilt_deg", "11"),
     ("objective.class_weights", "car", "-1"),
     ("search", "particles", "2"),
     ("search", "social", "11"),
@@ -161,23 +161,6 @@ def test_a_wrong_value_is_refused_with_the_file_the_table_and_the_key(tmp_path, 
     assert message.startswith((f"{named} {key}: is ", f"{named} {key}: unknown ", f"[{table}.{key}]: is "))
 
 
-def test_a_tolerance_is_none_unless_said_and_its_half_widths_are_nought(tmp_path):
-    assert load_scenario(scene(tmp_path, MINIMAL)).objective.tolerance is None
-    text = MINIMAL + "[objective]\ntolerance = {tilt_deg = 1, height_m = 0.05}\n"
-    tolerance = load_scenario(scene(tmp_path, text)).objective.tolerance
-    assert tolerance == Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=0.0, aim="mean")
-    assert tolerance.half_widths == {"height_m": 0.05, "tilt_x_deg": 1.0, "tilt_y_deg": 1.0}
-
-
-@pytest.mark.parametrize("content", ["", "tilt_deg = 0", "height_m = 0.0\nyaw_deg = 0", 'aim = "low"'])
-def test_a_tolerance_that_leaves_everything_exact_is_refused(tmp_path, content):
-    text = refusal(tmp_path, f"{MINIMAL}[objective.tolerance]\n{content}\n")
-    assert text == (
-        "[objective.tolerance]: leaves every coordinate exact; allowed: at least one of height_m, tilt_deg, yaw_deg "
-        "above 0"
-    )
-
-
 UNREADABLE = {
     MINIMAL
     + "[deployment]\nhight_m = 3\n": "[deployment]: unknown key 'hight_m'; did you mean 'height_m'? allowed: x_m, ",
@@ -191,9 +174,9 @@ UNREADABLE = {
     MINIMAL + '[search]\nmethod = "grid"\nparticles = 3\niterations = 1\n': (
         "[search] particles: 3 x 1 iterations are too few evaluations for a grid over 2 coordinates; allowed: 4 or more"
     ),
-    MINIMAL + "[objective]\ntolerance = 1\n": "[objective.tolerance]: is 1; allowed: a table",
-    MINIMAL + "[objective]\ntolerance = {tilt_x_deg = 1}\n": (
-        "[objective.tolerance]: unknown key 'tilt_x_deg'; did you mean 'tilt_deg'? allowed: "
+    MINIMAL + "[model]\npose_error = 1\n": "[model.pose_error]: is 1; allowed: a table",
+    MINIMAL + "[deployment]\ninstaller = {tilt_x_deg = 1}\n": (
+        "[deployment.installer]: unknown key 'tilt_x_deg'; did you mean 'tilt_deg'? allowed: "
     ),
 }
 
@@ -267,7 +250,9 @@ FULL = {
 ROUND_TRIPS = {
     "small": {},
     "every kind of value": FULL,
-    "a tolerance": {"objective": {"tolerance": {"yaw_deg": 2.5, "aim": "low"}}},
+    "an installer": {"deployment": {"installer": {"yaw_deg": 2.5, "aim": "low"}}},
+    "a LiDAR and a baseline that hang": {"deployment": {"installer": False}, "baseline": {"installer": False}},
+    "a pose error": {"model": {"pose_error": {"yaw_deg": 2.5}}},
     "weights": {
         "objective": {
             "class_weights": {"truck": 3.0},
@@ -307,7 +292,7 @@ def field(table, key):
         ({"sensor": {"range_gate_m": -1.0}}, "panel: range_gate_m of sensor: is -1.0; allowed: more than 0"),
         ({"sensor": {"RS-16": {"dropout": 2}}}, "panel: RS-16 of sensor dropout: is 2; allowed: "),
         ({"deployment": {"height_m": [3, 2]}}, "panel: height_m of deployment: is .3, 2.; allowed: the lower bound"),
-        ({"objective": {"tolerance": {"yaw_deg": 90}}}, "panel: tolerance of objective yaw_deg: is 90; allowed: "),
+        ({"deployment": {"installer": {"yaw_deg": 90}}}, "panel: installer of deployment yaw_deg: is 90; allowed: "),
         ({"objective": {"metric": "speed"}}, "panel: metric of objective: unknown objective .speed.; allowed: pe-vgop"),
         ({"search": {"particle": 3}}, "panel: part of search: unknown key 'particle'; did you mean 'particles'"),
         ({"traffic": {"path": None}}, "panel: path of traffic: is missing"),
