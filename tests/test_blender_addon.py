@@ -177,10 +177,13 @@ def test_what_several_recordings_cannot_share_is_refused_by_name(tmp_path):
 def test_a_setting_without_a_field_is_shown_and_an_error_in_it_names_the_file(tmp_path):
     path = SCENES["weights_zones_and_installer"](tmp_path)
     lidar, scene = loaded(path), bpy.context.scene
-    assert "[objective] classes, class_weights, zones, tolerance, loss, view" in scenarios.without_field(scene, lidar)
-    (tmp_path / "poles.csv").write_text("name,x_m,y_m\na,0,0\n", encoding="utf-8")
-    lidar.blender_lidar.poles = str(tmp_path / "poles.csv")
-    with pytest.raises(properties.InputError, match=r"scene.toml: \[objective\] tolerance: is given beside"):
+    shown = scenarios.without_field(scene, lidar)
+    assert {"[objective] classes, class_weights, zones, loss, view", "[deployment] installer"} <= set(shown)
+    assert scenario().installers == load_scenario(path).installers
+    kept = properties.kept_of(scene.blender_lidar)
+    tables = {**kept.tables, "objective": {"loss": 2e9}}
+    properties.keep_tables(scene.blender_lidar, tables, kept.folder, scenarios.fields_of(scene))
+    with pytest.raises(properties.InputError, match=r"scene.toml: \[objective\] loss: is 2000000000.0; allowed: "):
         scenario()
 
 

@@ -198,7 +198,8 @@ def layout_scenario(
     baselines = [{key: table[key] for key in MOUNTED if key in table} for table in baselines]
     if named:
         shared = {key: value for key, value in fields_of(scene)["baseline"].items() if key not in ("x_m", "y_m")}
-        tables |= {"baseline": {}, "sensor": _sensors_of(hung)}
+        hangs = {key: value for key, value in tables.get("baseline", {}).items() if key == "installer"}
+        tables |= {"baseline": hangs, "sensor": _sensors_of(hung)}
         for one, entry, own in zip(hung, entries, baselines, strict=True):
             entry["name"] = re.sub(r"[^\w-]", "_", one.name_full)  # less what no name in a scene file has
             entry |= {"sensor": sensor_of(one).name, "baseline": own or shared}
@@ -307,7 +308,9 @@ def without_field(scene: bpy.types.Scene, lidar: bpy.types.Object | None) -> lis
     """What is kept of the scene file and has no field in the panel, a line for each table."""
     tables = {**properties.kept_of(scene.blender_lidar).tables}
     if lidar is not None:
-        tables["sensor"] = properties.kept_of(lidar.blender_lidar).tables.get("sensor", {})
+        own = properties.kept_of(lidar.blender_lidar).tables
+        tables["sensor"] = own.get("sensor", {})
+        tables["deployment"] = {key: one for key, one in own.get("deployment", {}).items() if key == "installer"}
     shown = {**properties.TABLES, "sensor": ("name", *properties.SENSOR), "region": ("centre_m", "radius_m")}
     lines = []
     for name, table in tables.items():
@@ -397,6 +400,7 @@ def deployment_table(lidar: bpy.types.Object, *, held: bool = False) -> dict[str
     table |= {key: filed[key] if pair == filled.get(key) else pair for key, pair in bounds.items()}
     if held:
         table["facing_deg"] = place["facing_deg"]  # also of a mast that faces as its pole or the road says
+        table["installer"] = False
     elif group.poles:
         table = {key: value for key, value in table.items() if key not in ("x_m", "y_m") or key in bounds}
         table["poles"] = bpy.path.abspath(group.poles)
