@@ -23,6 +23,7 @@ from blender_lidar.sensors.beams import beam_directions
 from blender_lidar.sensors.identify import elevations, identify_sensor, nearest_ring
 from blender_lidar.sensors.model import load_model, model_names, unit_of
 from blender_lidar.studies.commission import commission
+from blender_lidar.toml_table import read_toml
 from tests.refusals import refused
 from tests.small_scene import cli
 
@@ -396,6 +397,7 @@ def test_the_beam_table_of_a_unit_keeps_all_else_of_its_model(name, tmp_path):
 def test_what_it_writes_is_read_again(run_of_two, tmp_path, capsys):
     out = tmp_path / "out"
     assert cli(capsys, "commission", run_of_two / "cloud_0.npz", "--sensor", "RS-32", "--out", out)[0] == 0
+    assert read_toml(out / "deployment.toml")["deployment"]["installer"] is False
     unit = load_model(out / "beams.toml")
     np.testing.assert_allclose(unit.elevation_rad, load_model("RS-32").elevation_rad, atol=math.radians(0.05))
     pose = json.loads((out / "commission.json").read_text())["pose"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from blender_lidar.scene.installation import (
     orthogonal_errors,
     single_errors,
 )
-from blender_lidar.scene.mounting import Mounting
+from blender_lidar.scene.mounting import Mast, Mounting
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
@@ -54,6 +55,12 @@ def test_orthogonal_errors_are_evenly_spread_and_come_with_their_opposites(base,
         np.testing.assert_allclose(np.corrcoef(lidar.T), np.eye(4), atol=1e-12)
         rows = {tuple(row) for row in lidar.round(9) + 0.0}
         assert all(tuple(-np.array(row) + 0.0) in rows for row in rows)
+
+
+@pytest.mark.parametrize("errors", [orthogonal_errors([WIDE, WIDE], 11), latin_errors([WIDE, WIDE], 30, 4, [1, 2])])
+def test_errors_of_several_lidars_are_not_alike(errors):
+    both = errors.reshape(-1, 2 * len(ERRORS))
+    assert np.abs(np.corrcoef(both.T) - np.eye(8)).max() < 0.3
 
 
 @pytest.mark.parametrize(("frames", "each"), [(30, 1), (6, 4), (7, 8), (1, 1), (2, 1)])
@@ -115,7 +122,8 @@ def test_errors_add_to_height_tilts_and_yaw_and_stay_within_what_a_coordinate_ca
     hung = installed(PLAN, np.array([0.2, 0.1, -0.2, 0.3]))
     assert (hung.height_m, hung.tilt_y, hung.yaw) == (3.2, -0.2, 0.3)
     assert hung.tilt_x == PLAN.tilt_x + 0.1
-    assert hung.mast == PLAN.mast
+    on_slope = replace(PLAN, mast=Mast((1.0, 2.0, 0.0), 0.3, (0.03, 0.0, math.sqrt(1.0 - 0.03**2))))
+    assert installed(on_slope, np.full(4, 0.01)).mast == on_slope.mast
     low = COORDINATE_LIMITS["height_m"][0]
     assert installed(Mounting(height_m=low), np.array([-0.05, 0.0, 0.0, 0.0])).height_m == low
 

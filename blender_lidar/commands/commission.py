@@ -133,7 +133,8 @@ def deployment(found: Commissioned) -> str:
     table = found.fit.pose.as_table()
     keys = ["height_m", "tilt_x_deg", "tilt_y_deg", *(["yaw_deg"] if found.fit.yaw else [])]
     lines = "".join(f"{key} = {table[key]:.4f}\n" for key in keys)
-    return f'[sensor]\nname = "{found.model.name}"\n\n[deployment]\n{lines}'
+    hangs = "installer = false  # it hangs already\n"
+    return f'[sensor]\nname = "{found.model.name}"\n\n[deployment]\n{lines}{hangs}'
 
 
 def unit_table(found: Commissioned) -> str:
