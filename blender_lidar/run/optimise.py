@@ -233,7 +233,7 @@ def _conclude(
         "baseline": {**_deployed(scenario, scenario.baselines), **verdict[BASELINE_NAME]},
         "cross_fitted": crossed,
         "tolerance": over_tolerance,
-        "other_traffic": other_traffic(site, layouts["optimised"]),
+        "other_traffic": other_traffic(site, [layouts["optimised"]]),
         "assumptions": assumptions(site, tables["optimised"]),
         "warnings": site.recording.report.warnings_as_dicts(),
         "notes": [note for note in site.plan.notes if crossed is None or NOTHING_HELD_OUT not in note],
