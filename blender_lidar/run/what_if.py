@@ -212,8 +212,8 @@ def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
     """Lorries by lane or approach, light traffic, rush hour and a queue, and other heights where these were assumed.
 
     Beside a straight road lorries drive in the lanes nearest to a place. On a map, where they are lorries in place,
-    they come from each approach, alone as nothing else tells approaches apart as well at the cost of one cast, and are
-    in all of the site; there is no rush hour and no queue, as how queues stand across a map's lanes is not modelled.
+    they come from each approach, there alone, which takes one draw, and shares of them are in all of the site; there is
+    no rush hour and no queue, as how queues stand across a map's lanes is not modelled.
     """
     straight, light = site.scenario.straight is not None, "a quarter of the vehicles"
     found = _lorries_by_lane(site, near_to) if straight else _lorries_by_approach(site)
@@ -287,7 +287,8 @@ def other_traffic(site: Site, layouts: Sequence[Layout]) -> dict[str, object]:
     dict
         ``frames`` looked at; ``recorded`` and ``mixes``: ``what`` and its ``value``, ``lanes``, ``lorries`` and
         ``approach``, ``draws``, ``boxes`` of a draw, ``distinct_vehicles``, ``detectable_share``, its ``interval_90``,
-        over draws too, and both of the former ``by_lane`` and ``by_approach``; ``fleet`` of `_fleet`.
+        over draws too, and both of the former ``by_lane`` and ``by_approach``; whether lorries stand ``in_place`` and
+        no queue is lined up again; ``fleet`` of `_fleet`.
     """
     few, seed = _judging(site), site.scenario.search.seed
     draws = _SLOW_DRAWS if _is_slow(site) else _DRAWS
@@ -296,7 +297,14 @@ def other_traffic(site: Site, layouts: Sequence[Layout]) -> dict[str, object]:
         changed = [mix.change(few, seed=seed + draw) for draw in range(draws if mix.is_drawn else 1)]
         rows.append(mix.told | _coverage(changed, layouts))
     recorded = _coverage([with_traffic(few, lambda vehicles: vehicles)], layouts)
-    return {"frames": len(few.holdout), "recorded": recorded, "mixes": rows, "fleet": _fleet(site)}
+    in_place = site.scenario.straight is None
+    return {
+        "frames": len(few.holdout),
+        "recorded": recorded,
+        "mixes": rows,
+        "in_place": in_place,
+        "fleet": _fleet(site),
+    }
 
 
 def _is_slow(site: Site) -> bool:

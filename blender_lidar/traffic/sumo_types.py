@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from .source import Column, Rows, listed, open_bytes, short
-from .vehicles import HEIGHTS_M, DIMENSIONS, VAN_LONGER_THAN_M
+from .vehicles import DIMENSIONS, HEIGHTS_M, VAN_LONGER_THAN_M
 
 _BLOCK_BYTES = 2**18
 
@@ -247,11 +247,10 @@ def types_of(
         )
     if unknown:
         raise unknown_name(unknown[0], defined, "type", where)
-    lacks = {name: [side for side in DIMENSIONS if side not in kind.given] for name, kind in zip(names, found, strict=True)}
-    lacks = {name: sides for name, sides in lacks.items() if sides}
-    sides = [side for side in DIMENSIONS if any(side in each for each in lacks.values())]
-    note = f"Sizes: {' and '.join(sides)} as usual for the class, where vehicle_types does not say it ({listed(list(lacks))})"
-    return found, [note] if lacks else [], is_unknown
+    lacking = [name for name, kind in zip(names, found, strict=True) if assumed_sides([kind])]
+    sides = " and ".join(assumed_sides(found))
+    note = f"Sizes: {sides} by SUMO's default for the class where vehicle_types does not say it ({listed(lacking)})"
+    return found, [note] if lacking else [], is_unknown
 
 
 def assumed_sides(types: Sequence[VehicleType]) -> tuple[str, ...]:
