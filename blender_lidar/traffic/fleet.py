@@ -216,8 +216,8 @@ def lorries_in_place(vehicles: Vehicles, ids: np.ndarray) -> Vehicles:
     """The vehicles of those ids turned into lorries that keep their front bumpers, as long as the room behind allows.
 
     Behind each 1 m stays free to the next box in its path: one whose extent across the lorry's heading overlaps the
-    lorry's. None becomes shorter or narrower than it was. One that would be pushed into a neighbour by a lorry's width
-    keeps its own. So no two boxes overlap that did not before. Nobody else moves.
+    lorry's. None becomes shorter or narrower than it was. One that a lorry's width would push into another keeps its
+    own. So no two boxes overlap that did not before. Nobody else moves.
 
     Parameters
     ----------
@@ -231,14 +231,6 @@ def lorries_in_place(vehicles: Vehicles, ids: np.ndarray) -> Vehicles:
     centre[:, :2], size[:, :2] = vehicles.centre_m[:, :2], vehicles.size_m[:, :2]
     heading = vehicles.heading_rad
     forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-
-    def overlapped(row: int, place: np.ndarray, length_m: float, width_m: float) -> np.ndarray:
-        """Which others a vehicle overlaps where it is so large, (n,) bool."""
-        half = 0.5 * np.array([length_m, width_m])
-        found = rectangles_overlap(centre[:, :2], 0.5 * size[:, :2], heading, place, half, heading[row])
-        found[row] = False
-        return found
-
     for row in np.flatnonzero(np.isin(vehicles.vehicle_id, ids)).tolist():
         own, left = size[row, :2].copy(), np.array([-forward[row, 1], forward[row, 0]])
         front = centre[row, :2] + 0.5 * own[0] * forward[row]
@@ -246,9 +238,9 @@ def lorries_in_place(vehicles: Vehicles, ids: np.ndarray) -> Vehicles:
         extents = np.delete(extents, row, axis=0)
         for width in (max(own[1], SIZE_M[TRUCK][1]), own[1]):
             length = _length_of_lorry(own[0], width, extents)
-            place = front - 0.5 * length * forward[row]
-            met = overlapped(row, place, length, width)
-            if not met.any() or not (met & ~overlapped(row, centre[row, :2], *own)).any():
+            place, half = front - 0.5 * length * forward[row], 0.5 * np.array([length, width])
+            met = rectangles_overlap(centre[:, :2], 0.5 * size[:, :2], heading, place, half, heading[row])
+            if met.sum() == met[row]:  # itself at most
                 break
         centre[row, :2], size[row, :2] = place, (length, width)
     return replace(lorries, centre_m=centre, size_m=size)
