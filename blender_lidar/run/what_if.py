@@ -147,16 +147,17 @@ def _turning(
     ids = np.unique(recording.vehicle_id)
     drawn = np.random.default_rng(seed).random(len(ids))
 
-    def of(vehicles: Vehicles, *classes: int) -> np.ndarray:
-        return np.isin(vehicles.class_index, classes) & here(vehicles)
-
-    frames = [recording.vehicles(number) for number in (*site.plan.search, *site.plan.holdout)]
-    small = sum(int(of(vehicles, CAR, VAN).sum()) for vehicles in frames)
-    large = sum(int(of(vehicles, TRUCK, BUS).sum()) for vehicles in frames)
+    frames = map(recording.vehicles, (*site.plan.search, *site.plan.holdout))
+    kinds = np.concatenate([vehicles.class_index[here(vehicles)] for vehicles in frames])
+    small, large = (int(np.isin(kinds, classes).sum()) for classes in ((CAR, VAN), (TRUCK, BUS)))
     missing = (share * (small + large) - large) / max(small, 1)
 
     def turning(vehicles: Vehicles) -> np.ndarray:
-        turns = of(vehicles, CAR, VAN) & (drawn[np.searchsorted(ids, vehicles.vehicle_id)] < missing)
+        turns = (
+            np.isin(vehicles.class_index, (CAR, VAN))
+            & here(vehicles)
+            & (drawn[np.searchsorted(ids, vehicles.vehicle_id)] < missing)
+        )
         return vehicles.vehicle_id[turns]
 
     return turning

@@ -315,10 +315,12 @@ def queued(
         places = np.concatenate([[0.0], np.cumsum(spread + 0.5 * (new[1:] + new[:-1]))])
         middle = np.argmin(np.abs(x[rows] - anchor_m))
         places += x[rows[middle]] - places[middle]
-        period = places[-1] - places[0] + 0.5 * (new[0] + new[-1]) + float(np.median(spread))
         x[rows] = places
         on_road = 0 <= number < len(road)  # a ramp ends where it ends; a pile cannot be continued
-        if not filled_to_m or not on_road or period < new.sum():
+        if not filled_to_m or not on_road:
+            continue
+        period = places[-1] - places[0] + 0.5 * (new[0] + new[-1]) + float(np.median(spread))
+        if period < new.sum():
             continue
         before = max(0, math.ceil((places[0] - anchor_m + filled_to_m) / period))
         after = max(0, math.ceil((filled_to_m - places[-1] + anchor_m) / period))
