@@ -35,6 +35,8 @@ from blender_lidar.studies.candidates import on_other_side
 from blender_lidar.traffic.fleet import BUS, CAR, SIZE_M, TRUCK, VAN, lorries_in_place, with_variety
 from blender_lidar.traffic.vehicles import Vehicles, overlapping_pairs
 from tests.small_scene import CASTER, HEADER, MAPPED, done, traffic_rows, without_charts, write_scene, write_table
+from tests.test_heights import SLOPE
+from tests.test_heights import scene as sloping_scene
 
 FAST = "raster" if is_available("raster") else CASTER
 
@@ -290,6 +292,17 @@ def test_a_driven_area_has_lorries_too(tmp_path):
         for one in large
     ]
     assert ids[0] < ids[1]
+
+
+def test_lorries_of_a_map_with_heights_stand_on_its_road(tmp_path):
+    site = prepare(sloping_scene(tmp_path, SLOPE))
+    assert "every lane" in {mix.lanes for mix in mixes(site, (0.0, 0.0))}
+    for frame in with_lorries_in_place(site, None, 1.0, 1).search:
+        centre, size = frame.vehicles.centre_m, frame.vehicles.size_m
+        assert (frame.vehicles.class_index == TRUCK).all()
+        assert (size[:, 0] > 4.5).any()
+        floor = centre[:, 2] - 0.5 * size[:, 2]
+        np.testing.assert_allclose(floor, site.scenario.road_map.surface.height(centre), atol=1e-9)
 
 
 # --- Draws, installations and heights ---------------------------------------------------------------------------------

@@ -147,7 +147,7 @@ def lorries_text(result: Mapping) -> str:
 
 
 def heights_text(result: Mapping) -> str:
-    """What other heights change where these were assumed, if that lies outside the interval as recorded."""
+    """What other heights change where a class has one, if that lies outside the interval as recorded."""
     other = result["other_traffic"]
     whole, mix = other["recorded"], next((mix for mix in other["mixes"] if mix["what"] == OTHER_HEIGHTS), None)
     if mix is None or not mix["boxes"] or not whole["interval_90"]:
@@ -156,7 +156,8 @@ def heights_text(result: Mapping) -> str:
     if low <= mix["detectable_share"] <= high:
         return ""
     after, before = map(_share_with_count, (mix, whole))
-    return f"The assumed heights matter: with those of a real fleet {after} would be detectable instead of {before}"
+    text = "The recording has one height for each class, and that matters"
+    return f"{text}: with those of a real fleet {after} would be detectable instead of {before}"
 
 
 def other_traffic_text(result: Mapping) -> str:
