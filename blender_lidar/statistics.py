@@ -15,6 +15,7 @@ FEW_VEHICLES = 10  # different ones; with fewer a share has no interval
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _LARGEST_PROBABILITY = 1.0 - 1e-9
 _RESAMPLES_AT_ONCE = 100  # of many mountings: all at once may fill the memory
+_ROUNDING = 1e-9  # of a mean of probabilities
 _HALVINGS = 60  # of the angle: as near as floats come
 
 
@@ -269,7 +270,7 @@ def share_interval_90(
     Parameters
     ----------
     hits : ndarray, (n,)
-        One for each box: a vehicle in one frame.
+        One for each box, a vehicle in one frame: whether it is true of it, or with which probability.
     vehicle : ndarray, (n,)
         The vehicle of each box.
     block : ndarray of int, (n,)
@@ -291,6 +292,54 @@ def share_interval_90(
         exact = _share_of_vehicles(hits, vehicle)
         ends = min(ends[0], exact[0]), max(ends[1], exact[1])
     return max(ends[0], 0.0), min(ends[1], 1.0)
+
+
+def drawn_share_interval_90(
+    hits: np.ndarray,
+    vehicle: np.ndarray,
+    block: np.ndarray,
+    draw: np.ndarray,
+    seed: int,
+    stratum: np.ndarray | None = None,
+) -> tuple[float, float] | None:
+    """90 % interval of the share of boxes of which something is true in traffic that was drawn several times.
+
+    Blocks of time and draws are crossed: ``V = V_blocks + V_draws`` with ``V_blocks`` the variance of the share of all
+    draws together when blocks are resampled, and ``V_draws = s^2 / D`` of the shares of the D draws, as for crossed
+    random effects (Owen 2007, The pigeonhole bootstrap, Annals of Applied Statistics 1), without the term that both
+    count: the interval is rather too wide than too narrow. Half its width is Student's t times sqrt(V), with the
+    degrees of freedom of Welch and Satterthwaite (1946, Biometrics Bulletin 2), ``V^2 / (V_blocks^2 / (B - 1) +
+    V_draws^2 / (D - 1))``.
+
+    Parameters
+    ----------
+    hits : ndarray, (n,)
+        0 to 1, one for each box of each draw.
+    vehicle, block, stratum, seed
+        As `share_interval_90`, whose interval it is for one draw, and which it always holds.
+    draw : ndarray of int, (n,)
+        The draw of each box.
+
+    Returns
+    -------
+    (float, float) or None
+        Within 0 to 1; None where `share_interval_90` is.
+    """
+    ends = share_interval_90(hits, vehicle, block, seed, stratum)
+    shares = block_sums(hits, draw) / block_sums(np.ones(len(draw)), draw)
+    if ends is None or len(shares) < 2:
+        return ends
+    boxes, strata = block_sums(np.ones(len(block)), block), None if stratum is None else of_blocks(stratum, block)
+    blocks = degrees_of_freedom(np.zeros(len(boxes)) if strata is None else strata)
+    middle, of_blocks_alone = float(np.mean(hits)), _mean_over_blocks(hits, block, seed, stratum)[0]
+    by_blocks = ((of_blocks_alone[1] - middle) / student_t_95(blocks)) ** 2
+    by_draws = float(np.var(shares, ddof=1)) / len(shares)
+    if not by_draws:
+        return ends
+    whole = by_blocks + by_draws
+    degrees = whole**2 / (by_blocks**2 / blocks + by_draws**2 / (len(shares) - 1))
+    reach = student_t_95(degrees) * math.sqrt(whole)
+    return max(min(ends[0], middle - reach), 0.0), min(max(ends[1], middle + reach), 1.0)
 
 
 def share_gain_interval_90(
@@ -323,7 +372,8 @@ def _mean_over_blocks(
     boxes, strata = block_sums(np.ones(len(block)), block), None if stratum is None else of_blocks(stratum, block)
     sums = block_sums(values, block)
     ends = statistic_interval_90(lambda weights: weights @ sums / (weights @ boxes), boxes, seed, strata)
-    return ends, (sums % boxes != 0).sum() < FEWEST_BLOCKS
+    means = sums / boxes
+    return ends, (np.abs(means - means.round()) > _ROUNDING).sum() < FEWEST_BLOCKS
 
 
 def _share_of_vehicles(hits: np.ndarray, vehicle: np.ndarray) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Layouts of several LiDARs: their search, what each of them adds, their installation errors, and what one of them costs."""
+"""Layouts of several LiDARs: their search, what each adds, their installation errors, and what one of them costs."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from blender_lidar.metrics.catalogue import PE_VGOP, metric_named
 from blender_lidar.scene.settings import Tolerance
 from blender_lidar.statistics import resampled_weights, statistic_interval_90
 from blender_lidar.studies.candidates import BASELINE, FIRST, Candidates
-from blender_lidar.studies.driver import Landscape
+from blender_lidar.studies.driver import HELD_OUT, SEARCHED, Landscape
 from blender_lidar.studies.effects import DRAWS, Lost
 from blender_lidar.studies.findings import (
     AT_LEAST_FRAGILE,
@@ -40,6 +40,7 @@ from blender_lidar.studies.findings import (
     losses_text,
     of_vehicles,
     optimum_finding,
+    repair_finding,
     search_finding,
     worst,
 )
@@ -359,6 +360,29 @@ def test_too_little_traffic_for_an_interval_of_the_gain():
     found = gain_finding(beside(few, BASELINE, FIRST), judges(1))
     assert found.verdict == UNDECIDED
     assert found.text == "100.0 % detectable, the baseline's 0.0 %: too little traffic for an interval"
+
+
+# --- what would see as many with lorries ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("judging", [HELD_OUT, SEARCHED])
+def test_a_height_for_lorries_has_an_interval_on_frames_that_did_not_choose_it_alone(judging):
+    """Eight blocks of ten vehicles: 5 detectable, 8 from higher up, 9 from the other side."""
+    blocks, wiggle = 8, np.array([-1.0, 1.0] * 4)
+    detectable = np.array([np.full(blocks, 2.0), np.full(blocks, 5.0), 8.0 + wiggle, np.full(blocks, 9.0)])
+    lorries = Landscape(detectable, np.full(blocks, 10), detectable=detectable)
+    recorded = Landscape(detectable[:2], np.full(blocks, 10), detectable=detectable[:2] + 3.0)
+    change = ("traffic", "higher for lorries in the nearest lane", "100 %")
+    found = repair_finding(change, recorded, lorries, judges(blocks), "6.00 m, tilt 28 deg", judging)
+    assert found.verdict is None
+    assert found.text.startswith("50.0 % detectable, without these lorries 80.0 %; at 6.00 m, tilt 28 deg 80.0 %, 30.0")
+    assert "on the other side of the road 90.0 %, 40.0 (" in found.text
+    assert found.text.endswith("held-out ones" if judging == HELD_OUT else "without an independent check")
+    assert (found.numbers["higher_gain_interval_90"] is not None) == (judging == HELD_OUT)
+    assert found.numbers["other_side_gain_interval_90"] is not None
+    if judging == HELD_OUT:
+        low, high = found.numbers["higher_gain_interval_90"]
+        assert low < 0.3 < high
 
 
 # --- the other sections -----------------------------------------------------------------------------------------------

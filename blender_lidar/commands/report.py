@@ -13,7 +13,7 @@ from itertools import chain
 from pathlib import Path
 
 from ..metrics.catalogue import metric_named
-from ..report.cautions import cautions, lorries_text, other_traffic_text
+from ..report.cautions import cautions, other_traffic_texts
 from ..report.summary import (
     answer,
     as_sentence,
@@ -124,8 +124,15 @@ def outcome_text(run: RunFolder, where: str) -> str:
     warnings = [*cautions(result), *map(as_sentence, (*result["notes"], *result["traffic_report"]["notes"]))]
     first = [*warnings_text(result), answer(result)]
     assumed = [where_text(result), *(f"Assumed: {text}" for text in assumed_texts(result))]
-    other = filled([f"{text}." for text in (lorries_text(result), other_traffic_text(result)) if text])
-    parts = [filled(first), other, filled(assumed), filled(meant), *tables, where, filled(warnings)]
+    parts = [
+        filled(first),
+        filled(other_traffic_texts(result)),
+        filled(assumed),
+        filled(meant),
+        *tables,
+        where,
+        filled(warnings),
+    ]
     return "\n\n".join(part for part in parts if part)
 
 

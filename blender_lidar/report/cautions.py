@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 
 from ..metrics.catalogue import DETECTABLE, metric_named
-from ..run.what_if import ON_A_BOUND, REPAIRED
+from ..run.what_if import ON_A_BOUND, OTHER_HEIGHTS
 from ..scene.mounting import COORDINATE_NAMES, LEANS
 from ..statistics import FEW_VEHICLES
 from ..traffic.vehicles import counted
@@ -28,6 +28,7 @@ from .summary import (
 )
 
 _MOST_NAMED = 5
+_LARGE = ("truck", "bus")
 _SMALL_SHORTFALL = 0.01  # what a search may miss before more of it is advised
 _DIGITS = {"m": 2, "deg": 1}
 
@@ -92,55 +93,79 @@ def next_metre_text(result: Mapping) -> str:
     return text
 
 
-def lorries_text(result: Mapping) -> str:
-    """Coverage with lorries alone in the nearest lane, the lane that loses most, and what would repair it."""
-    other = result["other_traffic"]
-    whole, repair = other["recorded"], other["repair"]
-    worst = next((mix for mix in other["mixes"] if mix["lorries"] == 1.0), None)
-    if worst is None:  # on a map
+def other_traffic_texts(result: Mapping) -> list[str]:
+    """What the first lines say of who is not in the recording, as sentences."""
+    texts = (fleet_text(result), lorries_text(result), heights_text(result), other_traffic_text(result))
+    return [f"{text}." for text in texts if text]
+
+
+def fleet_text(result: Mapping) -> str:
+    """Which vehicles there are and how large where no lorry or bus is among them; "" where some are."""
+    fleet = result["other_traffic"].get("fleet")
+    if fleet is None or any(name in fleet["size_m"] for name in _LARGE):
         return ""
-    if whole["detectable_share"] is None or worst["detectable_share"] is None:
+    *others, last = (
+        f"{name}s ({' x '.join(f'{side:.1f}' for side in size)} m)" for name, size in fleet["size_m"].items()
+    )
+    classes, assumed = f"{', '.join(others)} and {last}" if others else last, fleet["assumed"]
+    whose = f"{' and '.join(assumed)} assumed, {fleet['by']}" if assumed else "sizes as recorded"
+    what = "The recording has" if fleet["recording"] else "These frames have"
+    return f"{what} {classes} alone, {whose}; no lorry or bus is in the figures"
+
+
+def lorries_text(result: Mapping) -> str:
+    """Coverage with lorries alone: beside a straight road in the nearest lane, and which lane loses most; at an
+    intersection from the approach from which they cost most.
+    """
+    other = result["other_traffic"]
+    whole, alone = other["recorded"], [mix for mix in other["mixes"] if mix["lorries"] == 1.0]
+    approaches = [mix for mix in alone if mix.get("approach") and mix["boxes"]]
+    worst = min(approaches, key=lambda mix: mix["detectable_share"]) if approaches else next(iter(alone), None)
+    if worst is None or whole["detectable_share"] is None or worst["detectable_share"] is None:
         return ""
     after, before = map(_share_with_count, (worst, whole))
     instead = "as recorded" if after == before else f"instead of {before}"
-    of = f" (from {result['lidars'][0]['name']})" if result.get("layout") else ""
-    text = f"If every car and van of {worst['lanes']}{of} were a lorry, of all vehicles {after} would be detectable "
-    text += f"{instead}, in {counted(other['frames'], 'held-out frame' if result.get('holdout') else 'frame')}"
-    told = known_lanes(whole).keys() & known_lanes(worst).keys()
-    lost = {name: known_lanes(whole)[name] - known_lanes(worst)[name] for name in sorted(told)}
-    if lost and max(lost.values()) > 0.0:
+    in_place = other.get("in_place")
+    of = f" (from {result['lidars'][0]['name']})" if result.get("layout") and not in_place else ""
+    queues = ", in a queue as long as its gap allows" if in_place else ""
+    text = f"If every car and van of {worst['lanes']}{of} were a lorry{queues}, of all vehicles {after} would be "
+    text += (
+        f"detectable {instead}, in {counted(other['frames'], 'held-out frame' if result.get('holdout') else 'frame')}"
+    )
+    told = known_groups(whole).keys() & known_groups(worst).keys()
+    lost = {name: known_groups(whole)[name] - known_groups(worst)[name] for name in sorted(told)}
+    if not in_place and lost and max(lost.values()) > 0.0:
         lane = max(lost, key=lost.get)
-        shares = (f"{100 * known_lanes(row)[lane]:.0f}" for row in (worst, whole))
+        shares = (f"{100 * known_groups(row)[lane]:.0f}" for row in (worst, whole))
         text += "; of the vehicles in {} then {} % instead of {} %".format(lane, *shares)
-    if repair is None:
-        return text
-    seen = f"about {100 * repair['detectable_share']:.0f} % in these frames"
-    beyond = "" if repair["within_bounds"] else " (above the allowed heights)"
-    place = f"{repair['height_m']:.2f} m{beyond} with a tilt of {repair['tilt_deg']:.0f}°"
-    if repair["repairs"]:
-        text += f". With these lorries a mounting at {place} may see {seen}"
-    else:
-        text += (
-            f". With these lorries no height up to {repair['up_to_m']:g} m sees as many as recorded: at best {seen}, "
-        )
-        text += f"at {place}"
-    if (other_side := repair["other_side"]) is not None and other_side > worst["detectable_share"] + REPAIRED:
-        text += f"; this mounting on the other side of the road would see about {100 * other_side:.0f} %"
     return text
 
 
-def other_traffic_text(result: Mapping) -> str:
-    """Coverage in light traffic, in the rush hour and in a queue."""
+def heights_text(result: Mapping) -> str:
+    """What other heights change where a class has one, if that lies outside the interval as recorded."""
     other = result["other_traffic"]
-    rows = [mix for mix in other["mixes"] if mix["lanes"] is None]
+    whole, mix = other["recorded"], next((mix for mix in other["mixes"] if mix["what"] == OTHER_HEIGHTS), None)
+    if mix is None or not mix["boxes"] or not whole["interval_90"]:
+        return ""
+    low, high = whole["interval_90"]
+    if low <= mix["detectable_share"] <= high:
+        return ""
+    after, before = map(_share_with_count, (mix, whole))
+    text = "The recording has one height for each class, and that matters"
+    return f"{text}: with those of a real fleet {after} would be detectable instead of {before}"
+
+
+def other_traffic_text(result: Mapping) -> str:
+    """Coverage in light traffic, in the rush hour, in a queue and with other heights."""
+    rows = [mix for mix in result["other_traffic"]["mixes"] if mix["lorries"] is None]
     shares = [f"{mix['what']} ({mix['value']}) {_share_with_count(mix)}" for mix in rows if mix["boxes"]]
     return f"Detectable in these frames under other traffic: {', '.join(shares)}" if shares else ""
 
 
-def known_lanes(mix: Mapping) -> dict[str, float]:
-    """The detectable share of each lane of other traffic that has vehicles enough for one."""
-    lanes = mix["by_lane"].items()
-    return {name: one["detectable_share"] for name, one in lanes if one["distinct_vehicles"] >= FEW_VEHICLES}
+def known_groups(mix: Mapping) -> dict[str, float]:
+    """The detectable share of each approach, or else lane, of other traffic that has vehicles enough for one."""
+    groups = (mix.get("by_approach") or mix["by_lane"]).items()
+    return {name: one["detectable_share"] for name, one in groups if one["distinct_vehicles"] >= FEW_VEHICLES}
 
 
 def _share_with_count(mix):

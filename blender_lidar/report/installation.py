@@ -14,7 +14,7 @@ from ..metrics.catalogue import DETECTABLE
 from ..scene.directions import UPRIGHT_DEG, bearing_deg, pointing
 from ..scene.mounting import Mast
 from ..scene.site import Site
-from .cautions import crossed_text, lorries_text, next_metre_text, optimum_text, other_traffic_text
+from .cautions import crossed_text, next_metre_text, optimum_text, other_traffic_texts
 from .summary import (
     approaches_text,
     as_sentence,
@@ -220,9 +220,8 @@ def _expected(result):
         approaches_text(result),
         optimum_text(result),
         next_metre_text(result),
-        lorries_text(result),
     )
-    for text in filter(None, (*found, other_traffic_text(result))):
+    for text in (*filter(None, found), *(text.removesuffix(".") for text in other_traffic_texts(result))):
         lines += textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")
     return [*lines, *(f"- as {condition}" for condition in conditions(result))]
 

@@ -16,7 +16,7 @@ from ..files import write_text
 from ..run.folder import DETECTION, INSTALLATION, REPORT, RESULT, SCENE, RunFolder, of_lidar, refused_by_name
 from ..toml_table import read_toml
 from ..traffic.vehicles import RepairReport, counted
-from .cautions import cautions, lorries_text, other_traffic_text
+from .cautions import cautions, other_traffic_texts
 from .detection import detection_table, detection_text
 from .html import Markup, element, image, joined, sheet_markup, table, terms
 from .summary import (
@@ -123,8 +123,8 @@ CHARTS = {
         "dotted end means that the farthest boxes are still within reach. Nothing is drawn where too few boxes were.",
     ),
     "other_traffic.png": (
-        "Detectable share under other traffic: lorries by lane, light traffic, rush hour, a queue",
-        "Look for rows whose interval lies left of the dashed line, and for the lane that is named there: that traffic "
+        "Detectable share under other traffic: lorries by lane or approach, light traffic, a queue",
+        "Look for rows whose interval lies left of the dashed line, and for what is named there: that traffic "
         "hides vehicles that the recorded traffic does not.",
     ),
     "clouds.png": (
@@ -289,11 +289,7 @@ def _heading(run: RunFolder):
         *(element("p", text, class_="warning") for text in warnings_text(result)),
         element("p", answer(result), class_="answer"),
         element("dl", *figures, class_="figures"),
-        *(
-            element("p", f"{text}.", class_="facts")
-            for text in (lorries_text(result), other_traffic_text(result))
-            if text
-        ),
+        *(element("p", text, class_="facts") for text in other_traffic_texts(result)),
         element("p", where_text(result), class_="facts"),
         *(element("p", f"Assumed: {text}", class_="facts") for text in assumed_texts(result)),
     )

@@ -16,7 +16,7 @@ from ..run.verdict import REGION_SHARE, ScoreMap, near_best_threshold
 from ..scene.site import Site
 from ..statistics import FEW_VEHICLES
 from ..traffic.vehicles import counted
-from .cautions import known_lanes
+from .cautions import known_groups
 from .cloud_figures import draw_clouds, draw_occupancy
 from .coverage_figures import plot_blind_zones, plot_reach
 from .figure import (
@@ -273,7 +273,7 @@ def plot_steps(path: str | Path, result: Mapping) -> None:
 
 
 def plot_other_traffic(path: str | Path, result: Mapping) -> None:
-    """Draw the detectable share under other traffic with its interval, and of each lane, beside the recorded one's."""
+    """Draw the detectable share under other traffic with its interval, and of each lane or approach."""
     from matplotlib.lines import Line2D
 
     other = result["other_traffic"]
@@ -281,20 +281,21 @@ def plot_other_traffic(path: str | Path, result: Mapping) -> None:
     rows = [row for row in rows if row["detectable_share"] is not None]
     about = f"{result['sensor']}, the {mounting_name(result)} mounting, {counted(other['frames'], 'frame')}"
     look = {**OPTIMISED_LOOK, "linestyle": "none"}
-    lane_look = {"marker": "|", "markersize": 7.0, "linestyle": "none", "color": FAINT}
+    groups_are = "approaches" if other["recorded"].get("by_approach") else "lanes"
+    group_look = {"marker": "|", "markersize": 7.0, "linestyle": "none", "color": FAINT}
     with sheet(path, 34.0 + 6.0 * len(rows), "Detectable vehicles under other traffic", about) as figure:
         axes = figure.subplots()
         for at, row in enumerate(rows):
             share, ends = 100.0 * row["detectable_share"], row["interval_90"]
-            by_lane = known_lanes(row)
-            lanes = [100.0 * one for one in by_lane.values()]
-            axes.plot(lanes, [at] * len(lanes), zorder=2, **lane_look)
+            groups = known_groups(row)
+            shares = [100.0 * one for one in groups.values()]
+            axes.plot(shares, [at] * len(shares), zorder=2, **group_look)
             if ends:
                 axes.plot([100.0 * end for end in ends], [at, at], color=look["color"])
             axes.plot(share, at, zorder=3, clip_on=False, **look)
-            if lanes and min(lanes) < share:
-                lane = min(by_lane, key=by_lane.get)
-                axes.annotate(lane, (min(lanes), at), (-3, 0), textcoords="offset points", ha="right", va="center")
+            if shares and min(shares) < share:
+                lowest = min(groups, key=groups.get)
+                axes.annotate(lowest, (min(shares), at), (-3, 0), textcoords="offset points", ha="right", va="center")
         axes.axvline(100.0 * rows[0]["detectable_share"], color=INK, linestyle="--", linewidth=1.0)
         names = [", ".join(filter(None, (row["what"], row["value"]))) for row in rows]
         axes.set(xlabel="Detectable share [%]", xlim=(0.0, 100.0), ylim=(len(rows) - 0.5, -0.5))
@@ -302,7 +303,7 @@ def plot_other_traffic(path: str | Path, result: Mapping) -> None:
         axes.grid(visible=True, axis="x")
         handles = [
             Line2D([], [], **{**look, "linestyle": "-", "label": "all vehicles, 90 % interval"}),
-            Line2D([], [], **lane_look, label=f"lanes of {FEW_VEHICLES} vehicles or more"),
+            Line2D([], [], **group_look, label=f"{groups_are} of {FEW_VEHICLES} vehicles or more"),
             Line2D([], [], color=INK, linestyle="--", label="as recorded"),
         ]
         legend_below(figure, handles, columns=3)

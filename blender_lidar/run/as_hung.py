@@ -23,6 +23,7 @@ from .vehicle_table import BoxShares
 SEARCHED = 24  # installation errors of a search, at least, however few frames it has
 JUDGED_EACH = 8  # of each frame, under which the best few are judged
 JUDGED_BASE = 5  # its square is how many errors the figures stand on, of all frames each
+FEW_BASE = 3  # the same of what is told besides, of other traffic
 LOW_SHARE = 0.1  # the share of installations that may fall below what "low" aims at
 DEGREE, HEIGHT_M = 1.0, 0.1  # errors that are told each alone
 _SEARCH, _JUDGE = 1, 2  # streams of random numbers
@@ -107,11 +108,11 @@ class Hung:
         return Hung(*(np.concatenate([getattr(one, field.name) for one in parts], axis=1) for field in fields(Hung)))
 
 
-def installations(scenario: Scenario, plan: Layout) -> list[Layout]:
-    """Equally likely installations of a plan: it alone where nothing shakes it."""
+def installations(scenario: Scenario, plan: Layout, base: int = JUDGED_BASE) -> list[Layout]:
+    """Equally likely installations of a plan, `base` squared of them: it alone where nothing shakes it."""
     if is_exact(scenario):
         return [plan]
-    return [installed_layout(plan, error) for error in orthogonal_errors(scenario.installers, JUDGED_BASE)]
+    return [installed_layout(plan, error) for error in orthogonal_errors(scenario.installers, base)]
 
 
 def hung_scores(

@@ -1,8 +1,7 @@
-"""What if: coverage of a mounting under other traffic than was recorded, with lorries in the near lanes above all."""
+"""What if: coverage of a mounting under other traffic than was recorded, with lorries near it above all."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -12,15 +11,26 @@ import numpy as np
 
 from ..casting import BVH, EXACT
 from ..scene.deployment import SearchSpace
-from ..scene.mounting import Layout, Mounting, changed_mounting, mast_at
+from ..scene.mounting import Layout, Mounting, changed_mounting
 from ..scene.observation import CountedFrame
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.fidelity import evenly_spread
-from ..statistics import share_interval_90
-from ..traffic.fleet import BUS, CAR, TRUCK, VAN, Gaps, queued, turned_into
-from ..traffic.vehicles import Vehicles
-from .vehicle_table import BoxShares, lanes, vehicle_table, vehicle_tables
+from ..statistics import drawn_share_interval_90
+from ..traffic.fleet import (
+    BUS,
+    CAR,
+    TRUCK,
+    VAN,
+    Gaps,
+    heights_are_assumed,
+    lorries_in_place,
+    queued,
+    turned_into,
+    with_variety,
+)
+from ..traffic.vehicles import CLASSES, DIMENSIONS, Vehicles
+from .vehicle_table import APPROACH, BoxShares, approaches, lanes, vehicle_tables
 from .verdict import BASELINE_NAME, judge
 
 # --- Other traffic ----------------------------------------------------------------------------------------------------
@@ -54,20 +64,31 @@ def with_traffic(
     anchor = float(road.locate(np.array([site.scenario.nominal_xy])).s_m[0])
     place = {"anchor_m": anchor, "road": road, "copies_from": step}
 
-    def changed(number: int) -> CountedFrame:
+    def changed(number: int, frame: CountedFrame) -> CountedFrame:
         recorded = site.recording.vehicles(number)
         vehicles = change(recorded)
         if gaps is not None:
             vehicles = queued(vehicles, recorded.size_m[:, 0], gaps, filled_to_m=filled_to_m, **place)
-        return site.counted(vehicles)
+        return _with_ways_of(frame, site.counted(vehicles))
 
-    searched, held_out = (tuple(map(changed, frames)) for frames in (site.plan.search, site.plan.holdout))
+    searched = tuple(map(changed, site.plan.search, site.search))
+    held_out = tuple(map(changed, site.plan.holdout, site.holdout))
     chosen = [frame.vehicles.vehicle_id[frame.counted] % step for frame in searched]
     chosen = np.concatenate([site.plan.searched_ids, *chosen])
     judged = (
         replace(frame, counted=frame.counted & ~np.isin(frame.vehicles.vehicle_id % step, chosen)) for frame in held_out
     )
     return replace(site, search=searched, holdout=tuple(judged))
+
+
+def _with_ways_of(recorded: CountedFrame, frame: CountedFrame) -> CountedFrame:
+    """A frame of changed traffic with the ways that its vehicles have in the recorded one."""
+    if recorded.ways is None:
+        return frame
+    known = recorded.vehicles.vehicle_id
+    row = np.searchsorted(known, frame.vehicles.vehicle_id)
+    row = np.where(np.append(known, -1)[row] == frame.vehicles.vehicle_id, row, len(known))
+    return replace(frame, ways={name: np.append(values, "")[row] for name, values in recorded.ways.items()})
 
 
 def _copies_from(site: Site) -> int:
@@ -81,27 +102,65 @@ def with_lorries(site: Site, near_to: Sequence[float] | None, near: int | None, 
     Which cars and vans turn into lorries is drawn once for each vehicle, so that a greater share has those of a smaller
     one. Lorries and buses that were recorded count among them, motorcycles stay. No vehicle is added.
     """
-    road, recording = site.scenario.road_map, site.recording
-    ids = np.unique(recording.vehicle_id)
-    drawn = np.random.default_rng(seed).random(len(ids))
+    road = site.scenario.road_map
     chosen = None if near is None else _by_distance(site, near_to)[:near]
 
-    def here(vehicles: Vehicles, *classes: int) -> np.ndarray:
-        found = np.isin(vehicles.class_index, classes)
+    def here(vehicles: Vehicles) -> np.ndarray:
         if chosen is None:
-            return found
-        return found & np.isin(road.locate(vehicles.centre_m, vehicles.heading_rad).lane, chosen)
+            return np.ones(len(vehicles), dtype=bool)
+        return np.isin(road.locate(vehicles.centre_m, vehicles.heading_rad).lane, chosen)
 
-    frames = [recording.vehicles(number) for number in (*site.plan.search, *site.plan.holdout)]
-    small = sum(int(here(vehicles, CAR, VAN).sum()) for vehicles in frames)
-    large = sum(int(here(vehicles, TRUCK, BUS).sum()) for vehicles in frames)
-    missing = (share * (small + large) - large) / max(small, 1)
+    ids_of = _turning(site, here, share, seed)
+    return with_traffic(site, lambda vehicles: turned_into(vehicles, ids_of(vehicles), TRUCK), lambda gaps: gaps)
+
+
+def with_lorries_in_place(site: Site, approach: str | None, share: float, seed: int) -> Site:
+    """The site with that share of lorries among the vehicles from an approach, all for None, where no queue is lined
+    up again: a lorry keeps its front bumper and is as long as the gap behind it allows; see `lorries_in_place`.
+
+    Which cars and vans turn into lorries is drawn as for `with_lorries`; they are those within reach.
+    """
+    surface, frames = site.scenario.road_map.surface, (*site.search, *site.holdout)
+    near = [
+        frame.vehicles.vehicle_id[slice(None) if approach is None else frame.ways[APPROACH] == approach]
+        for frame in frames
+    ]
+    there = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *near]))
+    ids_of = _turning(site, lambda vehicles: np.isin(vehicles.vehicle_id, there), share, seed)
 
     def turned(vehicles: Vehicles) -> Vehicles:
-        turns = here(vehicles, CAR, VAN) & (drawn[np.searchsorted(ids, vehicles.vehicle_id)] < missing)
-        return turned_into(vehicles, vehicles.vehicle_id[turns], TRUCK)
+        lorries = lorries_in_place(vehicles, ids_of(vehicles))
+        risen = surface.height(lorries.centre_m) - surface.height(vehicles.centre_m)
+        return replace(lorries, centre_m=lorries.centre_m + np.outer(risen, [0.0, 0.0, 1.0]))
 
-    return with_traffic(site, turned, lambda gaps: gaps)
+    return with_traffic(site, turned)
+
+
+def _turning(
+    site: Site, here: Callable[[Vehicles], np.ndarray], share: float, seed: int
+) -> Callable[[Vehicles], np.ndarray]:
+    """What gives the numbers of a frame's cars and vans that turn into lorries where `here` is true of a vehicle.
+
+    So many that lorries and buses, those that were recorded among them, have that share there in all frames.
+    """
+    recording = site.recording
+    ids = np.unique(recording.vehicle_id)
+    drawn = np.random.default_rng(seed).random(len(ids))
+
+    frames = map(recording.vehicles, (*site.plan.search, *site.plan.holdout))
+    kinds = np.concatenate([vehicles.class_index[here(vehicles)] for vehicles in frames])
+    small, large = (int(np.isin(kinds, classes).sum()) for classes in ((CAR, VAN), (TRUCK, BUS)))
+    missing = (share * (small + large) - large) / max(small, 1)
+
+    def turning(vehicles: Vehicles) -> np.ndarray:
+        turns = (
+            np.isin(vehicles.class_index, (CAR, VAN))
+            & here(vehicles)
+            & (drawn[np.searchsorted(ids, vehicles.vehicle_id)] < missing)
+        )
+        return vehicles.vehicle_id[turns]
+
+    return turning
 
 
 def _by_distance(site: Site, xy: Sequence[float]) -> np.ndarray:
@@ -119,10 +178,18 @@ def rush_hour(site: Site, seed: int = 0) -> Site:
     return with_traffic(site, lambda vehicles: vehicles, lambda gaps: _RUSH * gaps, site.reach_m)
 
 
+def with_other_heights(site: Site, seed: int) -> Site:
+    """The site with the heights that `[world] variety = 1` draws where all vehicles of a kind have one."""
+    near = np.concatenate([frame.vehicles.vehicle_id for frame in (*site.search, *site.holdout)])
+    varied = with_variety(site.recording, 1.0, seed, ids=near)
+    return with_traffic(replace(site, recording=varied), lambda vehicles: vehicles)
+
+
 class Mix(NamedTuple):
     """Other traffic: what it is, and `change(site, seed=)`, which makes it of a site; with or without a draw.
 
-    `lanes` and `lorries` are where lorries drive and their share; None where it is not about them.
+    `lanes` and `lorries` are where lorries drive and their share, None where it is not about them; `approach` is the
+    name of the approach that they come from, None where it is about none.
     """
 
     what: str
@@ -131,17 +198,46 @@ class Mix(NamedTuple):
     is_drawn: bool
     lanes: str | None = None
     lorries: float | None = None
+    approach: str | None = None
+
+    @property
+    def told(self) -> dict[str, object]:
+        """What it is, as JSON holds it."""
+        return {name: getattr(self, name) for name in ("what", "value", "lanes", "lorries", "approach")}
+
+
+OTHER_HEIGHTS = "other heights"
 
 
 def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
-    """Lorries in the lanes nearest to a place, light traffic, rush hour and a queue.
+    """Lorries by lane or approach, light traffic, rush hour and a queue, and other heights where these were assumed.
 
-    Where most vehicles drive off the lanes of the road map, as at a crossing, lorries are in every lane alone. On a map
-    it is light traffic alone: how queues stand across its lanes is not modelled.
+    Beside a straight road lorries drive in the lanes nearest to a place. On a map, where they are lorries in place,
+    they come from each approach, there alone, which takes one draw, and shares of them are in all of the site; there is
+    no rush hour and no queue, as how queues stand across a map's lanes is not modelled.
     """
-    light = Mix("light traffic", "a quarter of the vehicles", partial(thinned, share=_LIGHT), True)
-    if site.scenario.straight is None:
-        return [light]
+    straight, light = site.scenario.straight is not None, "a quarter of the vehicles"
+    found = _lorries_by_lane(site, near_to) if straight else _lorries_by_approach(site)
+    found.append(Mix("light traffic", light, partial(thinned, share=_LIGHT), True))
+    if straight:
+        found.append(Mix("rush hour", "half the gaps", rush_hour, False))
+        found.append(Mix("queue", "gaps of {:g} to {:g} m".format(*JAM_GAPS_M), jammed, False))
+    if not site.scenario.world.variety and heights_are_assumed(site.recording):
+        found.append(Mix(OTHER_HEIGHTS, "as in a real fleet", with_other_heights, True))
+    return found
+
+
+def _lorries(where: str, share: float, change: Callable[..., Site], approach: str | None = None) -> Mix:
+    """Lorries somewhere; where every car and van becomes one, nothing is drawn."""
+    of = partial(change, share=share)
+    return Mix(f"lorries in {where}", f"{100 * share:g} %", of, share < 1.0, where, share, approach)
+
+
+def _lorries_by_lane(site: Site, near_to: Sequence[float]) -> list[Mix]:
+    """Lorries in the lanes nearest to a place, and in all.
+
+    Where most vehicles drive off the lanes of the road map, as at a crossing, they are in every lane alone.
+    """
     road, near = site.scenario.road_map, {1: "the nearest lane", 2: "the two nearest lanes"}
     frames = (*site.search, *site.holdout)
     centre, number = (
@@ -153,54 +249,87 @@ def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
     if known and own.any():
         near[1] += f" (lane {np.bincount(np.maximum(own, 0)).argmax()})"
     lanes = [(count, name) for count, name in near.items() if known and count < len(road)]
-    found = [
-        Mix(
-            f"lorries in {name}",
-            f"{100 * share:g} %",
-            partial(with_lorries, near_to=tuple(near_to), near=count, share=share),
-            True,
-            name,
-            share,
-        )
+    return [
+        _lorries(name, share, partial(with_lorries, near_to=tuple(near_to), near=count))
         for count, name in (*lanes, (None, "every lane"))
         for share in LORRY_SHARES
     ]
-    rush, queue = Mix("rush hour", "half the gaps", rush_hour, False), "gaps of {:g} to {:g} m".format(*JAM_GAPS_M)
-    return [*found, light, rush, Mix("queue", queue, jammed, False)]
+
+
+def _lorries_by_approach(site: Site) -> list[Mix]:
+    """Lorries alone from each approach that vehicles come from that count, and shares of them in all of the site."""
+    frames = [frame for frame in (*site.search, *site.holdout) if frame.ways is not None]
+    names = {name for frame in frames for name in frame.ways[APPROACH][frame.counted].tolist() if name}
+    found = [
+        _lorries(f"approach {name}", 1.0, partial(with_lorries_in_place, approach=name), name) for name in sorted(names)
+    ]
+    where = "every lane" if site.scenario.road_map.lanes else "the whole area"
+    return found + [_lorries(where, share, partial(with_lorries_in_place, approach=None)) for share in LORRY_SHARES]
 
 
 # --- Coverage under it ------------------------------------------------------------------------------------------------
 
 _FRAMES, _SLOW_FRAMES = 20, 3  # of the judging ones: the share to a few points, in a twentieth of a run's time
-REPAIRED = 0.02  # of the recorded share is all that may be missing
-_HIGHEST_M, _STEP_M = 12.0, 0.5
-_MORE_DEG = (0.0, 5.0, 10.0)  # than planned, as a higher LiDAR needs
+_DRAWS, _SLOW_DRAWS = 3, 2  # of what is drawn
 
 
-def other_traffic(site: Site, layout: Layout) -> dict[str, object]:
-    """Coverage of a layout when other traffic drives, and what would repair it, as JSON holds it.
+def other_traffic(site: Site, layouts: Sequence[Layout]) -> dict[str, object]:
+    """Coverage of a mounting when other traffic drives, as JSON holds it.
+
+    Parameters
+    ----------
+    site : Site
+    layouts : sequence of Layout
+        Equally likely installations of one plan, whose mean is told. Lanes are the nearest to the first LiDAR of the
+        first.
 
     Returns
     -------
     dict
-        ``frames`` looked at; ``recorded`` and ``mixes``: ``what`` and its ``value``, ``lanes`` and ``lorries``,
-        ``boxes``, ``distinct_vehicles``, ``detectable_share``, its ``interval_90``, and both of the latter ``by_lane``;
-        and ``repair`` of lorries alone in the nearest lane where these, of ten vehicles or more, hide more than 2
-        points from a single LiDAR: see `_repair`. Lanes are the nearest to the first LiDAR.
+        ``frames`` looked at; ``recorded`` and ``mixes``: ``what`` and its ``value``, ``lanes``, ``lorries`` and
+        ``approach``, ``draws``, ``boxes`` of a draw, ``distinct_vehicles``, ``detectable_share``, its ``interval_90``,
+        over draws too, and both of the former ``by_lane`` and ``by_approach``; whether lorries stand ``in_place`` and
+        no queue is lined up again; ``fleet`` of `_fleet`.
     """
     few, seed = _judging(site), site.scenario.search.seed
-    whole = _coverage(with_traffic(few, lambda vehicles: vehicles), layout)
-    rows, near = [], None
-    for mix in mixes(few, layout[0].xy):
-        changed = mix.change(few, seed=seed)
-        told = {"what": mix.what, "value": mix.value, "lanes": mix.lanes, "lorries": mix.lorries}
-        rows.append(told | _coverage(changed, layout))
-        if near is None and mix.lorries == LORRY_SHARES[-1]:
-            near = changed, rows[-1]
-    (lorries, seen), enough, repair = near or (None, {}), (whole["detectable_share"] or 0.0) - REPAIRED, None
-    if seen.get("interval_90") and seen["detectable_share"] < enough and len(layout) == 1:
-        repair = _repair(lorries, layout[0], enough)
-    return {"frames": len(few.holdout), "recorded": whole, "mixes": rows, "repair": repair}
+    draws = _SLOW_DRAWS if _is_slow(site) else _DRAWS
+    rows = []
+    for mix in mixes(few, layouts[0][0].xy):
+        changed = [mix.change(few, seed=seed + draw) for draw in range(draws if mix.is_drawn else 1)]
+        rows.append(mix.told | _coverage(changed, layouts))
+    recorded = _coverage([with_traffic(few, lambda vehicles: vehicles)], layouts)
+    in_place = site.scenario.straight is None
+    return {
+        "frames": len(few.holdout),
+        "recorded": recorded,
+        "mixes": rows,
+        "in_place": in_place,
+        "fleet": _fleet(site),
+    }
+
+
+def _is_slow(site: Site) -> bool:
+    return site.observation.caster in (BVH, EXACT)
+
+
+def _fleet(site: Site) -> dict[str, object]:
+    """Which vehicles there are within reach in all frames, so that a figure without lorries is known for one.
+
+    Returns
+    -------
+    dict
+        ``recording``: whether the rest of the recording has no others either; ``size_m`` of each class, medians of
+        boxes; ``assumed``, which of their dimensions, and ``by``, whose word that is.
+    """
+    vehicles, report = [frame.vehicles for frame in (*site.search, *site.holdout)], site.recording.report
+    kind, size = np.concatenate([one.class_index for one in vehicles]), np.concatenate([one.size_m for one in vehicles])
+    present = np.unique(kind).tolist()
+    return {
+        "recording": set(np.unique(site.recording.class_index).tolist()) == set(present),
+        "size_m": {CLASSES[each]: np.median(size[kind == each], axis=0).tolist() for each in present},
+        "assumed": [name for name in DIMENSIONS if name in report.assumed_sizes],
+        "by": "SUMO's default for the class" if report.format == "sumo" else "the usual of the class",
+    }
 
 
 def _judging(site: Site) -> Site:
@@ -208,7 +337,7 @@ def _judging(site: Site) -> Site:
     split = "holdout" if any(frame.counted.any() for frame in site.holdout) else "search"
     frames = getattr(site, split)
     filled = np.flatnonzero([frame.counted.any() for frame in frames])
-    most = _SLOW_FRAMES if site.observation.caster in (BVH, EXACT) else _FRAMES
+    most = _SLOW_FRAMES if _is_slow(site) else _FRAMES
     kept = filled[evenly_spread(len(filled), min(most, len(filled)))]
     parts = {f"holdout{name}": getattr(site.plan, f"{split}{name}")[kept] for name in ("", "_block", "_recording")}
     none = np.zeros(0, dtype=np.int64)
@@ -218,70 +347,64 @@ def _judging(site: Site) -> Site:
     return replace(site, plan=replace(site.plan, **parts), search=(), holdout=tuple(frames[row] for row in kept))
 
 
-def _coverage(site: Site, layout: Layout) -> dict[str, object]:
-    """What is detectable of the traffic of a site, with its interval, and by lane where lanes are known."""
-    plan, seed = site.plan, site.scenario.search.seed
-    if not any(frame.counted.any() for frame in site.holdout):
-        return dict.fromkeys(("boxes", "distinct_vehicles"), 0) | {
-            "detectable_share": None,
+def _coverage(draws: Sequence[Site], layouts: Sequence[Layout]) -> dict[str, object]:
+    """What is detectable of traffic, all draws of it together, with its interval, and by lane and approach.
+
+    A box is detectable as often as it is from the `layouts`.
+    """
+    boxes = [_boxes(site, layouts, number) for number, site in enumerate(draws) if _counts(site)]
+    if not boxes:
+        return {"draws": len(draws), "boxes": 0, "distinct_vehicles": 0, "detectable_share": None} | {
             "interval_90": None,
             "by_lane": {},
+            "by_approach": {},
         }
-    table = vehicle_table(layout, holdout=Evaluator(site.holdout, site.observation, site.scoring))
-    at, vehicle = np.searchsorted(plan.holdout, table["frame"]), table["vehicle_id"] % _copies_from(site)
+    table = {name: np.concatenate([one[name] for one in boxes]) for name in boxes[0]}
+    plan, seed = draws[0].plan, draws[0].scenario.search.seed
+    at, vehicle, hits = np.searchsorted(plan.holdout, table["frame"]), table["vehicle_id"], table["detectable"]
 
     def seen(rows: np.ndarray | slice) -> dict[str, object]:
         distinct = len(np.unique(vehicle[rows]))
-        return {"distinct_vehicles": distinct, "detectable_share": float(table["detectable"][rows].mean())}
+        return {"distinct_vehicles": distinct, "detectable_share": float(hits[rows].mean())}
 
-    ends = share_interval_90(table["detectable"], vehicle, plan.holdout_block[at], seed, plan.holdout_recording[at])
+    where = plan.holdout_block[at], table["draw"], seed, plan.holdout_recording[at]
+    ends = drawn_share_interval_90(hits, vehicle, *where)
     by_lane = lanes(table) if table["lane"].any() else []
+    by_approach = approaches(table) if APPROACH in table else []
     return {
-        "boxes": len(at),
+        "draws": len(draws),
+        "boxes": round(len(at) / len(draws)),
         **seen(slice(None)),
         "interval_90": ends and list(ends),
         "by_lane": {name: seen(rows) for name, rows in by_lane},
+        "by_approach": {name: seen(rows) for name, rows in by_approach},
     }
 
 
-def _repair(site: Site, mounting: Mounting, enough: float) -> dict[str, object]:
-    """The least height that sees enough of a site's traffic, or the best, and what a pole on the other side sees.
+def _counts(site: Site) -> bool:
+    """Whether any vehicle counts."""
+    return any(frame.counted.any() for frame in site.holdout)
 
-    Returns
-    -------
-    dict
-        ``height_m`` and ``tilt_deg`` (tilt across the road, or lean), ``detectable_share`` there, whether it
-        ``repairs``, ``up_to_m`` what height was looked for and whether it is ``within_bounds``; ``other_side``, the
-        share from a mirrored mounting across the road, None where no mast can stand there.
+
+def _boxes(site: Site, layouts: Sequence[Layout], draw: int) -> dict[str, np.ndarray]:
+    """The vehicle table of a site's held-out frames, copies under their originals' numbers, detectable as often as
+    from the layouts.
     """
-    deployment, road = site.scenario.deployment, site.scenario.road_map
-    places, axis = deployment.places, deployment.spaces[0].axes[1]
-    place = min(places, key=lambda one: math.dist([np.mean(one.span(key)) for key in ("x_m", "y_m")], mounting.xy))
-    _, high = place.bounds.get("height_m", (mounting.height_m,) * 2)
-    up_to_m = max(_HIGHEST_M, high, mounting.height_m + _STEP_M)
-    heights = np.arange(mounting.height_m + _STEP_M, up_to_m + 1e-9, _STEP_M)
-    tilts = _tilts_beside(mounting, axis, place.bounds, _MORE_DEG)
-    higher = [(height, tilt) for height in heights.tolist() for tilt in tilts]
-    layouts = [(changed_mounting(mounting, road, height_m=height, **{axis: tilt}),) for height, tilt in higher]
-    if (other := _on_other_side(site, mounting)) is not None:
-        layouts.append((other,))
-    shares = Evaluator(site.holdout, site.observation, site.scoring).totals(layouts).detectable_share()
-    seen = shares[: len(higher)]
-    sufficient = np.flatnonzero(seen >= enough)
-    best = int(sufficient[0] if len(sufficient) else np.argmax(seen))
-    height, tilt = higher[best]
-    return {
-        "height_m": height,
-        "tilt_deg": tilt,
-        "within_bounds": bool(height <= high),
-        "repairs": bool(len(sufficient)),
-        "up_to_m": float(up_to_m),
-        "detectable_share": float(seen[best]),
-        "other_side": None if other is None else float(shares[-1]),
+    tables = vehicle_tables(layouts, holdout=Evaluator(site.holdout, site.observation, site.scoring))
+    return tables[0] | {
+        "detectable": np.mean([table["detectable"] for table in tables], axis=0),
+        "vehicle_id": tables[0]["vehicle_id"] % _copies_from(site),
+        "draw": np.full(len(tables[0]["frame"]), draw),
     }
 
 
-def _tilts_beside(
+# --- Beyond the bound -------------------------------------------------------------------------------------------------
+
+ON_A_BOUND = 0.01  # of the width between two bounds: a search that reflects there comes close and never upon it
+_BESIDE_DEG = (-4.0, -2.0, 0.0, 2.0, 4.0)
+
+
+def tilts_beside(
     mounting: Mounting, axis: str, bounds: Mapping[str, Sequence[float]], more_deg: Sequence[float]
 ) -> list[float]:
     """The tilt or lean of a mounting and what is by so much more, as far as its bounds allow; it alone where fixed."""
@@ -289,29 +412,6 @@ def _tilts_beside(
     if axis not in bounds:
         return [planned]
     return sorted({float(np.clip(planned + more, *bounds[axis])) for more in more_deg})
-
-
-def _on_other_side(site: Site, mounting: Mounting) -> Mounting | None:
-    """The mirror image of a mounting across the road, as far from it; None where the mast stands over or between lanes.
-
-    The rotor turns the same way in both: only the order in time of its returns is another.
-    """
-    road, side = site.scenario.road_map, site.scenario.road.side_of(mounting.xy)
-    if side not in ("left", "right"):
-        return None
-    place = road.locate(np.array([mounting.xy]))
-    x, y = road.at(place.s_m[0], sum(road.edges_t) - place.t_m[0])
-    if road.clearance((x, y))[0] <= 0.0:
-        return None
-    facing = math.remainder(2.0 * place.heading_rad[0] - mounting.mast.facing_rad, 2.0 * math.pi)
-    mast = mast_at(road, float(x), float(y), facing)
-    return replace(mounting, mast=mast, tilt_y=-mounting.tilt_y, yaw=-mounting.yaw)
-
-
-# --- Beyond the bound -------------------------------------------------------------------------------------------------
-
-ON_A_BOUND = 0.01  # of the width between two bounds: a search that reflects there comes close and never upon it
-_BESIDE_DEG = (-4.0, -2.0, 0.0, 2.0, 4.0)
 
 
 def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, layout: Layout) -> dict | None:
@@ -337,7 +437,7 @@ def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, layout: Lay
         return None
     higher = [
         changed_mounting(mounting, site.scenario.road_map, height_m=mounting.height_m + 1.0, **{axis: tilt})
-        for tilt in _tilts_beside(mounting, axis, bounds, _BESIDE_DEG)
+        for tilt in tilts_beside(mounting, axis, bounds, _BESIDE_DEG)
     ]
     raised = [(*layout[:number], one, *layout[number + 1 :]) for one in higher]
     best = int(np.argmax(evaluator.totals(raised).objective.sum(axis=1)))

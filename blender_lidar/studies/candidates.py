@@ -5,6 +5,7 @@ All that studies know of coordinates stands here.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,8 +14,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..optimise.search import generator
+from ..run.what_if import tilts_beside
 from ..scene.deployment import SearchSpace, variable_of
-from ..scene.mounting import Layout, changed_mounting
+from ..scene.mounting import Layout, Mounting, changed_mounting, mast_at
 from ..scene.scenario import Scenario
 
 SOBOL_BITS = 30
@@ -132,6 +134,49 @@ def grid_candidates(scenario: Scenario, layout: Layout, heights: int, tilts: int
     named = zip(lidar_names(scenario), axes, strict=True)
     variables = tuple(variable_of(name, key) for name, keys in named for key in keys)
     return Candidates(variables, points, (scenario.baselines, *layouts))
+
+
+_HIGHEST_M, _STEP_M = 12.0, 0.5
+_MORE_DEG = (0.0, 5.0, 10.0)  # than planned, as a higher LiDAR needs
+
+
+def higher_mountings(scenario: Scenario, mounting: Mounting) -> tuple[list[Mounting], float]:
+    """A mounting raised step by step, up to 12 m or the highest that is allowed, each with its tilt and a few more.
+
+    Returns
+    -------
+    list of Mounting
+        The lowest first.
+    float
+        Up to which height its bounds allow it [m].
+    """
+    place, axis = scenario.deployment.places[0], joint_space(scenario).axes[1]
+    _, allowed_m = place.bounds.get("height_m", (mounting.height_m,) * 2)
+    up_to_m = max(_HIGHEST_M, allowed_m, mounting.height_m + _STEP_M)
+    heights = np.arange(mounting.height_m + _STEP_M, up_to_m + 1e-9, _STEP_M).tolist()
+    tilts = tilts_beside(mounting, axis, place.bounds, _MORE_DEG)
+    road = scenario.road_map
+    return [
+        changed_mounting(mounting, road, height_m=height, **{axis: tilt}) for height in heights for tilt in tilts
+    ], allowed_m
+
+
+def on_other_side(scenario: Scenario, mounting: Mounting) -> Mounting | None:
+    """The mirror image of a mounting across a straight road, as far from it; None where the mast stands over or between
+    lanes, or on a map.
+
+    The rotor turns the same way in both: only the order in time of its returns is another.
+    """
+    road = scenario.road_map
+    if scenario.straight is None or scenario.road.side_of(mounting.xy) not in ("left", "right"):
+        return None
+    place = road.locate(np.array([mounting.xy]))
+    x, y = road.at(place.s_m[0], sum(road.edges_t) - place.t_m[0])
+    if road.clearance((x, y))[0] <= 0.0:
+        return None
+    facing = math.remainder(2.0 * place.heading_rad[0] - mounting.mast.facing_rad, 2.0 * math.pi)
+    mast = mast_at(road, float(x), float(y), facing)
+    return replace(mounting, mast=mast, tilt_y=-mounting.tilt_y, yaw=-mounting.yaw)
 
 
 def check_height_or_tilt_searched(scenario: Scenario) -> None:

@@ -21,7 +21,7 @@ from ..scene.installation import limit_errors
 from ..scene.mounting import COORDINATE_NAMES
 from ..statistics import FEW_VEHICLES, FEWEST_BLOCKS, best_without_block, block_sums, interval_90, student_t_95
 from .candidates import BASELINE, FIRST, Candidates
-from .driver import Landscape, percent
+from .driver import HELD_OUT, Landscape, percent
 from .effects import Lost, chosen_shares, searched_weights, share_lost
 from .variations import MOUNTING, SEARCH, TRAFFIC
 
@@ -395,6 +395,47 @@ def change_finding(
 
 def _range(values: Sequence[float], digits: int) -> str:
     return " to ".join(dict.fromkeys(f"{end:.{digits}f}" for end in (min(values), max(values))))
+
+
+# --- what would see as many with lorries ------------------------------------------------------------------------------
+
+
+def repair_finding(
+    change: tuple[str, str, str], recorded: Landscape, lorries: Landscape, judges: Judges, place: str, judging: str
+) -> Finding:
+    """What a higher mounting, and one on the other side of the road, see of traffic with lorries, on frames that judge.
+
+    A mounting beyond what is allowed is advice, and no rival: it has no verdict. The higher one was chosen on the
+    searched frames; where these judge it, its gain has no interval.
+
+    Parameters
+    ----------
+    change : (str, str, str)
+        Section, what and value.
+    recorded : Landscape
+        The baseline and the mounting in question on traffic as recorded.
+    lorries : Landscape
+        With lorries the baseline, the mounting in question, the higher one and, where one can stand there, one on the
+        other side.
+    judges : Judges
+    place : str
+        Where the higher one hangs.
+    judging : str
+        The frames that judge, `HELD_OUT` or `SEARCHED`.
+    """
+    shares, before = lorries.detectable_share().tolist(), recorded.detectable_share().tolist()[FIRST]
+    texts = [f"{percent(shares[FIRST])} detectable, without these lorries {percent(before)}"]
+    numbers = {"mounting_share": shares[FIRST], "recorded_share": before}
+    others = {"higher": f"at {place}", "other_side": "on the other side of the road"}
+    for row, (key, where) in zip(range(RIVAL, len(shares)), others.items(), strict=False):
+        gain = losses_of([beside(lorries, FIRST, row)], judges).share
+        ends = None if row == RIVAL and judging != HELD_OUT else gain.interval_90
+        points = DETECTABLE.number(gain.share) + (f" ({' to '.join(map(DETECTABLE.number, ends))})" if ends else "")
+        texts.append(f"{where} {percent(shares[row])}, {points} percentage points more")
+        told = {"share": shares[row], "gain": gain.share, "gain_interval_90": ends and list(ends)}
+        numbers |= {f"{key}_{name}": one for name, one in told.items()}
+    check = "judged on held-out ones" if judging == HELD_OUT else "without an independent check"
+    return Finding(*change, None, f"{'; '.join(texts)}; the height was chosen on searched frames, {check}", numbers)
 
 
 # --- an installer's errors --------------------------------------------------------------------------------------------

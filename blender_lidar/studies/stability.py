@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ..metrics.catalogue import METRICS, metric_named
 from ..plugins import short_name
 from ..run.as_hung import is_exact
 from ..run.searches import fresh_search
+from ..run.what_if import mixes
 from ..scene.deployment import Installer
 from ..scene.installation import installed_layout, limit_errors, orthogonal_errors
 from ..scene.mounting import Layout
@@ -24,7 +26,16 @@ from ..scene.site import Site
 from ..scoring.evaluation import site_evaluator
 from ..scoring.fidelity import with_fewer_frames
 from ..statistics import FEWEST_BLOCKS, block_sums
-from .candidates import BASELINE, FIRST, Candidates, grid_candidates, joint_space, lidar_names
+from .candidates import (
+    BASELINE,
+    FIRST,
+    Candidates,
+    grid_candidates,
+    higher_mountings,
+    joint_space,
+    lidar_names,
+    on_other_side,
+)
 from .driver import (
     AS_IT_IS,
     HELD_OUT,
@@ -39,6 +50,7 @@ from .findings import (
     RIVAL,
     SHARE_LIMITS,
     ChangeDraw,
+    Finding,
     Judges,
     beside,
     best_row,
@@ -50,11 +62,12 @@ from .findings import (
     installation_findings,
     likely_rivals,
     optimum_finding,
+    repair_finding,
     search_finding,
 )
 from .variations import MOUNTING, SECTIONS, TRAFFIC, metric_variations, sensor_variations, traffic_variations
 
-STABILITY_SCHEMA = 4  # of the stages and of the result
+STABILITY_SCHEMA = 5  # of the stages and of the result
 _ERRORS_BASE = 11  # its square is how many installation errors stand for all
 
 
@@ -159,6 +172,7 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, la
     for change, draws in _draws(folder, few, varied, coarse, judging, given=layout is not None).items():
         unit = metric_named(change[2] if change[2] in METRICS else site.scoring.metric)
         findings.append(change_finding(change, draws, coarse, judges_of_changes._replace(metric=unit)))
+    findings += _for_lorries(folder, few, reference, judging, judges_of_changes)
     best = best_row(searched, np.isin(site.plan.search, whole.plan.search))
     found = [beside(judged, len(fine.layouts) + row, best) for row in range(len(own))]
     findings.append(search_finding(answers, found, judges, names, leans=fine.leans))
@@ -284,3 +298,42 @@ def _draws(
     for one, found in zip(variations, searched, strict=True):
         draws.setdefault((one.section, one.what, one.value), []).append(values.get(one, found))
     return draws
+
+
+_REPAIRED = 0.02  # of the recorded share is all that may be missing
+
+
+def _for_lorries(folder: StudyFolder, site: Site, layout: Layout, judging: str, judges: Judges) -> list[Finding]:
+    """What would see as many as recorded where lorries alone drive in the nearest lane, or all over a map.
+
+    It is the least height that misses 2 points at most on the searched frames, or the best. Nothing is looked for where
+    these lorries hide no more, or several LiDARs hang.
+    """
+    alone = (mix for mix in mixes(site, layout[0].xy) if mix.lorries == 1.0 and mix.approach is None)
+    mix = next(alone, None)
+    if mix is None or len(layout) > 1:
+        return []
+    scene, change = site.scenario, (TRAFFIC, f"higher for {mix.what}", mix.value)
+    recorded = replace(AS_IT_IS, section=TRAFFIC, what="recorded beside lorries")
+    lorries = Variation(*change, partial(mix.change, seed=scene.search.seed))
+    higher, allowed_m = higher_mountings(scene, layout[0])
+    first = (scene.baselines, layout)
+    jobs = [Job(recorded, first), Job(lorries, (*first, *((one,) for one in higher)))]
+    before, after = folder.landscapes(site, jobs, "higher mountings")
+    if isinstance(after, str):
+        return []
+    enough, shares = before.detectable_share()[FIRST] - _REPAIRED, after.detectable_share()
+    if shares[FIRST] >= enough:
+        return []
+    sufficient = shares[RIVAL:] >= enough
+    found = int(np.argmax(sufficient if sufficient.any() else shares[RIVAL:]))
+    axis, table = joint_space(scene).axes[1], higher[found].as_table()
+    beyond = " (above the allowed heights)" if table["height_m"] > allowed_m else ""
+    place = f"{table['height_m']:.2f} m{beyond}, {axis.split('_')[0]} {table[axis]:.0f} deg"
+    others = [(one,) for one in (higher[found], on_other_side(scene, layout[0])) if one is not None]
+    recorded, lorries = (replace(one, value=f"{one.value} judged") for one in (recorded, lorries))
+    jobs = [Job(recorded, first, judging), Job(lorries, (*first, *others), judging)]
+    judged = folder.landscapes(site, jobs, "higher mountings judged")
+    if isinstance(judged[1], str):
+        return []
+    return [repair_finding(change, *judged, judges, place, judging)]

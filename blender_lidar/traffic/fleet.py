@@ -18,7 +18,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..road.road_map import RoadMap
-from .vehicles import CLASSES, FLEET_KINDS, HEIGHTS_M, PEDESTRIAN, Recording, Vehicles, fleet_kind
+from .vehicles import (
+    CLASSES,
+    FLEET_KINDS,
+    HEIGHTS_M,
+    PEDESTRIAN,
+    Recording,
+    Vehicles,
+    fleet_kind,
+    rectangles_overlap,
+)
 
 # --- Heights and bodies -----------------------------------------------------------------------------------------------
 
@@ -83,7 +92,9 @@ BODIES = tuple(KIND_OF_BODY)
 _LENGTHS_M = (3.5, 5.5)  # between which heights go with lengths
 
 
-def with_variety(recording: Recording, variety: float, seed: int, number: int = 0) -> Recording:
+def with_variety(
+    recording: Recording, variety: float, seed: int, number: int = 0, ids: np.ndarray | None = None
+) -> Recording:
     """The same traffic with a height and a body for each vehicle, which stay its own in all frames.
 
     Heights are drawn where all vehicles of a kind have the same one, as in recordings without heights and in SUMO's
@@ -101,20 +112,18 @@ def with_variety(recording: Recording, variety: float, seed: int, number: int = 
     seed : int
     number : int
         Of the recording among several, whose vehicles have the same numbers.
+    ids : ndarray, optional
+        The vehicles that are to differ; all if left out.
     """
     if not variety:
         return recording
     vehicle, of = np.unique(recording.vehicle_id, return_inverse=True)
     kind, length = _kinds(recording, of)
-    rows = kind[of]
-    own = np.zeros(len(vehicle), dtype=bool)
-    for each in np.unique(kind):
-        given = recording.size_m[rows == each, 2]
-        several = (kind == each).sum() > 1
-        own[kind == each] = (given != given[0]).any() or not (several or given[0] == HEIGHTS_M[FLEET_KINDS[each]])
+    own = _own_heights(recording, kind, of)
     height = _medians(recording.size_m[:, 2], of)
     body, factor = np.zeros(len(vehicle), np.int8), np.ones(len(vehicle))
-    for at, identity in enumerate(vehicle.tolist()):
+    for at in np.flatnonzero(np.ones(len(vehicle), bool) if ids is None else np.isin(vehicle, ids)).tolist():
+        identity = int(vehicle[at])
         rng = np.random.default_rng([seed, number, identity % 2**64])
         name, drawn = _drawn(FLEET_KINDS[kind[at]], length[at], height[at] if own[at] else None, variety, rng)
         body[at], factor[at] = 1 + BODIES.index(name), 1.0 if own[at] else drawn
@@ -122,6 +131,22 @@ def with_variety(recording: Recording, variety: float, seed: int, number: int = 
     size[:, 2] *= factor[of]
     centre[:, 2] += 0.5 * (size[:, 2] - recording.size_m[:, 2])
     return recording.with_columns(size_m=size, centre_m=centre, body=body[of])
+
+
+def heights_are_assumed(recording: Recording) -> bool:
+    """Whether some vehicles have the one height of their kind, so that `with_variety` gives them others."""
+    of = np.unique(recording.vehicle_id, return_inverse=True)[1]
+    return not _own_heights(recording, _kinds(recording, of)[0], of).all()
+
+
+def _own_heights(recording: Recording, kind: np.ndarray, of: np.ndarray) -> np.ndarray:
+    """Which vehicles have a height of their own, by their kinds, (k,) bool: not where all of a kind have the same."""
+    rows, own = kind[of], np.zeros(len(kind), dtype=bool)
+    for each in np.unique(kind):
+        given = recording.size_m[rows == each, 2]
+        several = (kind == each).sum() > 1
+        own[kind == each] = (given != given[0]).any() or not (several or given[0] == HEIGHTS_M[FLEET_KINDS[each]])
+    return own
 
 
 def _kinds(recording: Recording, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -169,6 +194,8 @@ SIZE_M = {TRUCK: (12.7, 2.59, 3.8), CAR: (4.5, 2.1, 1.5)}  # I-80's median lorry
 _BETWEEN = -(10**9)  # number of the strip next to the left carriageway, between both
 _ALONG = np.cos(np.radians(30.0))  # of the heading off the lane's: what drives across the road does not queue
 
+_KEPT_FREE_M = 1.0  # behind a lorry that has grown in its place
+
 Gaps = Callable[[np.ndarray], np.ndarray]
 """New bumper gaps from old ones [m]; negative where vehicles overlap."""
 
@@ -183,6 +210,55 @@ def turned_into(vehicles: Vehicles, ids: np.ndarray, kind: int) -> Vehicles:
     classes = np.where(chosen, kind, vehicles.class_index).astype(vehicles.class_index.dtype)
     body = None if vehicles.body is None else np.where(chosen, 0, vehicles.body)
     return replace(vehicles, size_m=size, centre_m=centre, class_index=classes, body=body)
+
+
+def lorries_in_place(vehicles: Vehicles, ids: np.ndarray) -> Vehicles:
+    """The vehicles of those ids turned into lorries that keep their front bumpers, as long as the room behind allows.
+
+    Behind each 1 m stays free to the next box in its path: one whose extent across the lorry's heading overlaps the
+    lorry's. None becomes shorter or narrower than it was. One that a lorry's width would push into another keeps its
+    own. So no two boxes overlap that did not before. Nobody else moves.
+
+    Parameters
+    ----------
+    vehicles : Vehicles
+        One frame.
+    ids : ndarray
+        Numbers of the vehicles that become lorries.
+    """
+    lorries = turned_into(vehicles, ids, TRUCK)
+    centre, size = lorries.centre_m.copy(), lorries.size_m.copy()
+    centre[:, :2], size[:, :2] = vehicles.centre_m[:, :2], vehicles.size_m[:, :2]
+    heading = vehicles.heading_rad
+    forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    for row in np.flatnonzero(np.isin(vehicles.vehicle_id, ids)).tolist():
+        own, left = size[row, :2].copy(), np.array([-forward[row, 1], forward[row, 0]])
+        front = centre[row, :2] + 0.5 * own[0] * forward[row]
+        extents = _extents(centre[:, :2] - front, size, forward, np.stack([forward[row], left]))
+        extents = np.delete(extents, row, axis=0)
+        for width in (max(own[1], SIZE_M[TRUCK][1]), own[1]):
+            length = _length_of_lorry(own[0], width, extents)
+            place, half = front - 0.5 * length * forward[row], 0.5 * np.array([length, width])
+            met = rectangles_overlap(centre[:, :2], 0.5 * size[:, :2], heading, place, half, heading[row])
+            if met.sum() == met[row]:  # itself at most
+                break
+        centre[row, :2], size[row, :2] = place, (length, width)
+    return replace(lorries, centre_m=centre, size_m=size)
+
+
+def _extents(offset: np.ndarray, size: np.ndarray, forward: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """From where to where boxes reach along two axes (2, 2), (n, 2 axes, 2 ends) [m]; their centres are at `offset`."""
+    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
+    half = 0.5 * (size[:, :1] * np.abs(forward @ axes.T) + size[:, 1:2] * np.abs(left @ axes.T))
+    return np.stack([offset @ axes.T - half, offset @ axes.T + half], axis=-1)
+
+
+def _length_of_lorry(own_m: float, width_m: float, extents: np.ndarray) -> float:
+    """How long a lorry is that has room up to others, given by their extents ahead of its front and to its left."""
+    (ahead_low, ahead_high), (left_low, left_high) = extents.transpose(1, 2, 0)
+    in_path = (left_low < 0.5 * width_m) & (left_high > -0.5 * width_m) & (ahead_low < 0.0)
+    room_m = -ahead_high[in_path].max(initial=-np.inf) - _KEPT_FREE_M
+    return max(own_m, min(SIZE_M[TRUCK][0], room_m))
 
 
 def queued(
@@ -239,10 +315,12 @@ def queued(
         places = np.concatenate([[0.0], np.cumsum(spread + 0.5 * (new[1:] + new[:-1]))])
         middle = np.argmin(np.abs(x[rows] - anchor_m))
         places += x[rows[middle]] - places[middle]
-        period = places[-1] - places[0] + 0.5 * (new[0] + new[-1]) + float(np.median(spread))
         x[rows] = places
         on_road = 0 <= number < len(road)  # a ramp ends where it ends; a pile cannot be continued
-        if not filled_to_m or not on_road or period < new.sum():
+        if not filled_to_m or not on_road:
+            continue
+        period = places[-1] - places[0] + 0.5 * (new[0] + new[-1]) + float(np.median(spread))
+        if period < new.sum():
             continue
         before = max(0, math.ceil((places[0] - anchor_m + filled_to_m) / period))
         after = max(0, math.ceil((filled_to_m - places[-1] + anchor_m) / period))

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError
 from ..statistics import FEWEST_BLOCKS
 from .cycle import FEWEST_CYCLES, LONG_S, signal_cycle_s
-from .vehicles import Recording, RepairReport, Vehicles, counted, unknown_frame
+from .vehicles import DIMENSIONS, Recording, RepairReport, Vehicles, counted, unknown_frame
 
 # --- Which frames of a recording are fit to be analysed ---------------------------------------------------
 
@@ -450,5 +450,6 @@ def _joined_reports(reports: Sequence[RepairReport], names: Sequence[str]) -> Re
         **{count: sum(getattr(report, count) for report in reports) for count in counts},
         notes=tuple(f"{name}: {note}" for name, report in named for note in report.notes),
         assumed=tuple(f"{name}: {text}" for name, report in named for text in report.assumed),
+        assumed_sizes=tuple(side for side in DIMENSIONS if any(side in one.assumed_sizes for one in reports)),
         warnings=tuple((what, f"{name}: {text}") for name, report in named for what, text in report.warnings),
     )

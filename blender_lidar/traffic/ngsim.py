@@ -27,7 +27,7 @@ from .tracks import (
     limited,
     repaired_sizes,
 )
-from .vehicles import Recording, RepairReport
+from .vehicles import DIMENSIONS, Recording, RepairReport
 
 FOOT_M = 0.3048
 """International foot, exactly; 0.3084 circulates."""
@@ -149,6 +149,7 @@ def _boxes(
             report,
             rows_used=len(frame),
             sizes_repaired=len(np.unique(vehicle[resized])),
+            assumed_sizes=DIMENSIONS[2:],
             headings_held=int(held.sum()),
             headings_clamped=int((heading != motion).sum()),
         ),

@@ -29,7 +29,7 @@ from .source import (
     vehicle_ids,
     vehicle_numbers,
 )
-from .sumo_types import is_config, person_type, read_types, start_tags, types_of
+from .sumo_types import assumed_sides, is_config, person_type, read_types, start_tags, types_of
 from .tracks import drop_repeats
 from .vehicles import CLASSES, Placing, Recording, RepairReport, ground_sample
 
@@ -78,6 +78,7 @@ def read_sumo(
     defined = read_types(*files) if files else None
     rows, names, report = _collected(path)
     types, assumed, unknown = types_of(names["type"], defined, f"{path}: vehicle_types {', '.join(map(str, files))}")
+    sides = assumed_sides(types)
     types += [person_type(name, defined) for name in names["person_type"]]
     names["type"] += names["person_type"]
     unknown = np.append(unknown, np.zeros(len(names["person_type"]), dtype=bool))
@@ -127,6 +128,7 @@ def read_sumo(
             types_unknown=len(cars),
             notes=tuple(notes),
             assumed=(*assumed, *_not_used(ground)),
+            assumed_sizes=sides,
             ground=ground,
         ),
     )

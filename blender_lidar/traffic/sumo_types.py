@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError, unknown_name
 from .source import Column, Rows, listed, open_bytes, short
-from .vehicles import HEIGHTS_M, VAN_LONGER_THAN_M
+from .vehicles import DIMENSIONS, HEIGHTS_M, VAN_LONGER_THAN_M
 
 _BLOCK_BYTES = 2**18
 
@@ -56,10 +56,13 @@ class VehicleType(NamedTuple):
         Ours; None for what is no vehicle on a road, nor a pedestrian.
     size_m : (float, float, float)
         Length, width and height [m]; of no account for what is on no road.
+    given : tuple of str
+        Which of these a file says; the others are usual for its class.
     """
 
     class_name: str | None
     size_m: tuple[float, float, float]
+    given: tuple[str, ...] = ()
 
 
 _CARS = ("ignoring", "private", "authority", "army", "vip", "passenger", "hov", "taxi", "evehicle")
@@ -150,7 +153,7 @@ def read_types(*paths: str | Path) -> dict[str, VehicleType]:
             if element == "vType":
                 name = attributes.get("id", "")
                 found = _read_type(attributes, line, f"{path}:")
-                if not name or name in here or types.get(name, found) != found:
+                if not name or name in here or types.get(name, found)[:2] != found[:2]:
                     text = f"{short(name)!r} is there twice" if name else "without an id"
                     raise InputError(f"{path}:{line}: vType {text}")
                 here[name] = found
@@ -194,8 +197,8 @@ def _read_type(attributes: Mapping[str, str], line: int, place: str) -> VehicleT
     vehicle_class = attributes.get("vClass", "passenger")
     if vehicle_class not in DEFAULT_TYPES:
         raise unknown_name(vehicle_class, DEFAULT_TYPES, "vClass", f"{place}{line}")
-    name, usual = DEFAULT_TYPES[vehicle_class]
-    size = dict(zip(("length", "width", "height"), usual, strict=True))
+    name, usual, _ = DEFAULT_TYPES[vehicle_class]
+    size = dict(zip(DIMENSIONS, usual, strict=True))
     texts = {key: np.array([attributes[key]], dtype=object) for key in size if key in attributes}
     given = {key: float(Rows(texts, [line], place).numbers(key, _SIZE)[0]) for key in texts}
     drawn_as = _DRAWN_AS.get(attributes.get("guiShape", ""))
@@ -205,7 +208,7 @@ def _read_type(attributes: Mapping[str, str], line: int, place: str) -> VehicleT
     is_larger = any(given.get(key, 0.0) > size[key] for key in ("length", "height"))
     if name == "car" and not drawn_as and given.get("length", 0.0) > VAN_LONGER_THAN_M and is_larger:
         name, size["height"] = "van", HEIGHTS_M["van"]
-    return VehicleType(name, tuple((size | given).values()))
+    return VehicleType(name, tuple((size | given).values()), tuple(given))
 
 
 def person_type(name: str, defined: Mapping[str, VehicleType] | None) -> VehicleType:
@@ -244,4 +247,12 @@ def types_of(
         )
     if unknown:
         raise unknown_name(unknown[0], defined, "type", where)
-    return found, [], is_unknown
+    lacking = [name for name, kind in zip(names, found, strict=True) if assumed_sides([kind])]
+    sides = " and ".join(assumed_sides(found))
+    note = f"Sizes: {sides} by SUMO's default for the class where vehicle_types does not say it ({listed(lacking)})"
+    return found, [note] if lacking else [], is_unknown
+
+
+def assumed_sides(types: Sequence[VehicleType]) -> tuple[str, ...]:
+    """Which of length, width and height some of the types on a road do not say."""
+    return tuple(side for side in DIMENSIONS if any(kind.class_name and side not in kind.given for kind in types))

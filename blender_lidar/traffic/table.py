@@ -39,7 +39,7 @@ from .source import Column, Rows, first_lines, quoted, read_rows, vehicle_ids, v
 from .sumo import frames_of, kind_of_fcd, parquet_batches
 from .sumo_types import DEFAULT_TYPES, class_in_name
 from .tracks import SLOWEST_M_S, drop_repeats, fitted_velocity, heights, held_heading
-from .vehicles import CLASSES, PEDESTRIAN, Placing, Recording, RepairReport, ground_sample
+from .vehicles import CLASSES, DIMENSIONS, PEDESTRIAN, Placing, Recording, RepairReport, ground_sample
 
 _LENGTHS = ("length_m", "width_m", "height_m")
 OPTIONAL = ("z_m", "time_s", "lane")
@@ -123,12 +123,14 @@ def read_table(
     if "class" not in columns:
         columns["class"] = np.where(columns["length_m"] >= _TRUCK_FROM_M, CLASSES.index("truck"), 0).astype(np.int8)
         assumed.append(f"Class: truck from {_TRUCK_FROM_M:g} m of length on, else car, as the table has none")
-    sized = _size_by_class(columns)
+    sized, assumed_sizes = _size_by_class(columns), ()
     if sized is not None:
+        assumed_sizes = DIMENSIONS[:2]
         assumed.append("Sizes: by class, " + ("as the table has none" if sized.all() else "where the table has none"))
     if "height_m" not in columns:
         columns["height_m"] = heights(columns["class"], columns["length_m"], height_m)
         assumed.append("Heights: by class, as the table has none")
+        assumed_sizes += DIMENSIONS[2:]
     else:
         if height_m:
             raise InputError(f"{path}: [traffic] height_m is for traffic without heights, and the table has height_m")
@@ -165,6 +167,7 @@ def read_table(
             headings_held=0 if held is None else int(held.sum()),
             notes=tuple(notes),
             assumed=(*of_time, *assumed),
+            assumed_sizes=assumed_sizes,
             ground=ground_sample(plane, columns.get("z_m", columns["height_m"] / 2) - columns["height_m"] / 2),
         ),
     )

@@ -51,6 +51,8 @@ class RepairReport:
         Choices made where a setting was missing, as sentences.
     assumed : tuple of str
         What the recording does not say and was assumed, as sentences.
+    assumed_sizes : tuple of str
+        Which of length, width and height were assumed of some vehicle, as the recording does not have them.
     warnings : tuple of (str, str)
         What cannot be true and was accepted: its name, and what was seen.
     ground : ndarray, (n, 3)
@@ -76,6 +78,7 @@ class RepairReport:
     overlap_frames: int = 0
     notes: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
+    assumed_sizes: tuple[str, ...] = ()
     warnings: tuple[tuple[str, str], ...] = ()
     ground: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)), compare=False)
 
@@ -112,7 +115,8 @@ class RepairReport:
     def as_dict(self) -> dict[str, object]:
         """All counts, for a result file, which holds the warnings by themselves."""
         named = {one.name: getattr(self, one.name) for one in fields(self)}
-        kept = {name: value for name, value in named.items() if name not in ("warnings", "assumed", "ground")}
+        elsewhere = ("warnings", "assumed", "assumed_sizes", "ground")
+        kept = {name: value for name, value in named.items() if name not in elsewhere}
         return {name: list(value) if isinstance(value, tuple) else value for name, value in kept.items()}
 
     def warnings_as_dicts(self) -> list[dict[str, str]]:
@@ -132,6 +136,7 @@ def counted(count: int, noun: str) -> str:
 PEDESTRIAN = CLASSES.index("pedestrian")
 VAN_LONGER_THAN_M = 4.9
 LONG_TRUCK_M = 9.0  # from this length on a truck is an articulated one
+DIMENSIONS = ("length", "width", "height")
 HEIGHTS_M = {"car": 1.5, "van": 1.9, "truck": 3.0, "long_truck": 3.8, "bus": 3.2, "motorcycle": 1.4}
 HEIGHTS_M |= {"bicycle": 1.73, "pedestrian": 1.73}
 """Heights by kind [m], for recordings that have none; the last two are the means of KITTI's labels, by which its
