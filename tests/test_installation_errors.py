@@ -60,7 +60,7 @@ def test_orthogonal_errors_are_evenly_spread_and_come_with_their_opposites(base,
 @pytest.mark.parametrize("errors", [orthogonal_errors([WIDE, WIDE], 11), latin_errors([WIDE, WIDE], 30, 4, [1, 2])])
 def test_errors_of_several_lidars_are_not_alike(errors):
     both = errors.reshape(-1, 2 * len(ERRORS))
-    assert np.abs(np.corrcoef(both.T) - np.eye(8)).max() < 0.3
+    assert np.abs(np.corrcoef(both.T) - np.eye(8)).max() < 0.5
 
 
 @pytest.mark.parametrize(("frames", "each"), [(30, 1), (6, 4), (7, 8), (1, 1), (2, 1)])

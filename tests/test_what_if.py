@@ -337,7 +337,7 @@ def test_what_is_drawn_is_drawn_several_times_and_what_is_not_once(seen):
     once = {mix for mix, count in draws.items() if count == 1}
     assert {what for what, _ in once} >= {"rush hour", "queue"}
     assert {lorries for _, lorries in once} == {None, 1.0}
-    assert set(draws.values()) == {1, 2 if FAST == "exact" else 3}
+    assert set(draws.values()) == {1, 2}
 
 
 def test_of_several_installations_the_mean_is_told(site, planned, seen):

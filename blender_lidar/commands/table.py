@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -18,6 +19,7 @@ from ..report.html import element
 from ..report.page import page_html, table_markup
 from ..report.summary import boxes_text, measured
 from ..report.tables import TextTable, table_text
+from ..run.as_hung import hung_scores, searching
 from ..run.assumptions import assumptions, site_name
 from ..run.vehicle_table import BoxShares, vehicle_tables
 from ..scene.mounting import ANGLES, LEANS, Mounting, changed_mounting, mast_at
@@ -34,8 +36,8 @@ _HIGHEST_M, _FARTHEST_M = 30.0, 60.0
 _TILTS = 26  # of a grid over the searched tilts: whole degrees over the paper's range
 _AS_GOOD = "~"
 _HOW_TO_READ = (
-    "Each cell: the detectable share of the boxes that judge with its 90 % interval, and the best tilt, which the "
-    f"searched frames have chosen. {_AS_GOOD} marks no clear difference from the cell that is best on the searched "
+    "Each cell: the detectable share of the boxes that judge, as hung, with its 90 % interval, and the best tilt, "
+    f"which the searched frames have chosen. {_AS_GOOD} marks no clear difference from the cell that is best on the searched "
     "frames: the 90 % interval of the difference holds 0 or lies above; with little traffic it may hide a real one."
 )
 
@@ -131,37 +133,43 @@ def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> t
     angles = {key: place.fixed[key] for key in (*ANGLES, *LEANS) if key in place.fixed}
     tilts = np.linspace(*place.bounds[axis], _TILTS).round(9) if axis in place.bounds else [place.fixed[axis]]
     places = [(setback, height) for setback in setbacks for height in heights]
-    hung, worth = [], []
+    hung, worth, started = [], [], time.perf_counter()
     progress = closing(Progress(len(places), "places"))
     with site_evaluator(site, site.search, site.holdout) as evaluator, progress as shown:
+        searched = searching(site, evaluator)
         for setback, height in places:
             plain = mounting_at(scenario, setback, height)
             tried = [(changed_mounting(plain, road, **{**angles, axis: float(tilt)}),) for tilt in tilts]
-            objective = evaluator.totals(tried).objective.sum(axis=1)
+            objective = searched.totals(tried).objective.sum(axis=1)
             hung.append((tried[int(np.argmax(objective))], float(tilts[int(np.argmax(objective))])))
             worth.append(objective.max())
             shown.advance(1)
         split = "holdout" if evaluator.held_out.weight.sum() else "search"
         judging = {split: evaluator.held_out if split == "holdout" else evaluator}
-        tables = vehicle_tables([layout for layout, _ in hung], **judging)
-    best, seed = tables[int(np.argmax(worth))], scenario.search.seed if split == "holdout" else None
+        layouts = [layout for layout, _ in hung]
+        tables, scores = vehicle_tables(layouts, **judging), hung_scores(scenario, judging[split], layouts)
+    top, seed = int(np.argmax(worth)), scenario.search.seed if split == "holdout" else None
     cells = []
-    for (setback, height), (_, tilt), table in zip(places, hung, tables, strict=True):
-        shares = BoxShares.of_split(best, table, split, site.plan, seed).shares()
+    for (setback, height), (_, tilt), table, own in zip(places, hung, tables, scores, strict=True):
+        boxes = BoxShares.of_split(tables[top], table, split, site.plan, seed)
+        shares = boxes.with_detectable(*(one.detectable.mean(axis=0) for one in (scores[top], own))).shares()
         ends = shares["gain_interval_90"]
         cell = {"setback_m": setback, "height_m": height, axis: tilt, "detectable_share": shares["after"]}
         cell["detectable_share_interval_90"] = shares["after_interval_90"]
         cell |= {key: shares[key] for key in ("boxes", "distinct_vehicles")}
+        cell["detectable_share_as_planned"] = float(boxes.after["detectable"].mean())
         cell |= {"difference_to_best": shares["gain"], "difference_interval_90": ends}
         cells.append(cell | {"as_good": None if ends is None else bool(ends[1] >= 0.0)})
     on = "held-out" if split == "holdout" else "the searched frames', so without intervals"
-    about = [f"{boxes_text(cells[0])}, {on}"]
-    top = cells[int(np.argmax(worth))]
-    about.append(f"the best cell on the searched frames is {_where(top)}")
+    errors = scenario.deployment.installer.text
+    about = [f"{boxes_text(cells[0])}, {on}; {f'as hung within {errors}' if errors else 'exactly as planned'}"]
+    best = cells[top]
+    about[0] += f"; {len(cells) * len(tilts):,} mountings in {time.perf_counter() - started:.0f} s"
+    about.append(f"the best cell on the searched frames is {_where(best)}")
     if lowest := [cell for cell in cells if cell["as_good"]]:
         least = min(lowest, key=lambda cell: (cell["height_m"], cell["setback_m"]))
-        about[-1] += "" if least is top else f"; {_where(least)} is the least height that is not shown to be worse"
-    return cells, [*about, *assumptions(site, best)]
+        about[-1] += "" if least is best else f"; {_where(least)} is the least height that is not shown to be worse"
+    return cells, [*about, *assumptions(site, tables[top])]
 
 
 def _where(cell: Mapping) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..metrics.catalogue import DETECTABLE, PE_VGOP, metric_named
 from ..metrics.metric import Metric
+from ..run.as_hung import as_planned
 from ..run.vehicle_table import APPROACH
 from ..scene.deployment import Installer
 from ..scene.mounting import ANGLES
@@ -174,15 +175,7 @@ def judged(result: Mapping) -> tuple[Mapping, Mapping, str]:
 def judged_hung(result: Mapping) -> tuple[Mapping, Mapping, str]:
     """The same as hung, by the same names: expected over installation errors, none of what hangs already."""
     found, base, on = judged(result)
-    return _of_hung(found), _of_hung(base), on
-
-
-def _of_hung(scores):
-    """Scores as hung in place of those as planned."""
-    hung, names = scores["as_hung"], {"interval_90": "detectable_share_interval_90", "gain": "detectable_share_gain"}
-    names |= {"gain_interval_90": "detectable_share_gain_interval_90", "objective_gain": "gain_over_baseline"}
-    names["objective_gain_interval_90"] = "interval_90"
-    return {**scores, **{names.get(key, key): value for key, value in hung.items()}}
+    return {**found, **as_planned(found["as_hung"])}, {**base, **as_planned(base["as_hung"])}, on
 
 
 def errors_text(result: Mapping) -> str:

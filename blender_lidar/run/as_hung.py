@@ -8,7 +8,7 @@ a run tells of its answer stands on errors that chose nothing.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -178,3 +178,17 @@ def judge_as_hung(boxes: BoxShares, before: Hung, after: Hung) -> tuple[dict, di
         "worst_degree": float(after.degree_off.mean(axis=1).min(initial=planned)),
         "worst_10_cm": float(after.height_off.mean(axis=1).min(initial=planned)),
     }
+
+
+_AS_PLANNED = {
+    "interval_90": "detectable_share_interval_90",
+    "gain": "detectable_share_gain",
+    "gain_interval_90": "detectable_share_gain_interval_90",
+    "objective_gain": "gain_over_baseline",
+    "objective_gain_interval_90": "interval_90",
+}
+
+
+def as_planned(figures: Mapping[str, object]) -> dict[str, object]:
+    """Figures as hung by the names that those as planned have in result.json."""
+    return {_AS_PLANNED.get(key, key): value for key, value in figures.items()}

@@ -30,8 +30,8 @@ from ..traffic.fleet import (
     with_variety,
 )
 from ..traffic.vehicles import CLASSES, DIMENSIONS, Vehicles
+from .as_hung import as_planned, hung_scores, judge_as_hung, searching
 from .vehicle_table import APPROACH, BoxShares, approaches, lanes, vehicle_tables
-from .verdict import BASELINE_NAME, judge
 
 # --- Other traffic ----------------------------------------------------------------------------------------------------
 
@@ -270,7 +270,7 @@ def _lorries_by_approach(site: Site) -> list[Mix]:
 # --- Coverage under it ------------------------------------------------------------------------------------------------
 
 _FRAMES, _SLOW_FRAMES = 20, 3  # of the judging ones: the share to a few points, in a twentieth of a run's time
-_DRAWS, _SLOW_DRAWS = 3, 2  # of what is drawn
+_DRAWS = 2  # of what is drawn, so that its interval holds the draw
 
 
 def other_traffic(site: Site, layouts: Sequence[Layout]) -> dict[str, object]:
@@ -292,10 +292,9 @@ def other_traffic(site: Site, layouts: Sequence[Layout]) -> dict[str, object]:
         no queue is lined up again; ``fleet`` of `_fleet`.
     """
     few, seed = _judging(site), site.scenario.search.seed
-    draws = _SLOW_DRAWS if _is_slow(site) else _DRAWS
     rows = []
     for mix in mixes(few, layouts[0][0].xy):
-        changed = [mix.change(few, seed=seed + draw) for draw in range(draws if mix.is_drawn else 1)]
+        changed = [mix.change(few, seed=seed + draw) for draw in range(_DRAWS if mix.is_drawn else 1)]
         rows.append(mix.told | _coverage(changed, layouts))
     recorded = _coverage([with_traffic(few, lambda vehicles: vehicles)], layouts)
     in_place = site.scenario.straight is None
@@ -306,10 +305,6 @@ def other_traffic(site: Site, layouts: Sequence[Layout]) -> dict[str, object]:
         "in_place": in_place,
         "fleet": _fleet(site),
     }
-
-
-def _is_slow(site: Site) -> bool:
-    return site.observation.caster in (BVH, EXACT)
 
 
 def _fleet(site: Site) -> dict[str, object]:
@@ -337,7 +332,7 @@ def _judging(site: Site) -> Site:
     split = "holdout" if any(frame.counted.any() for frame in site.holdout) else "search"
     frames = getattr(site, split)
     filled = np.flatnonzero([frame.counted.any() for frame in frames])
-    most = _SLOW_FRAMES if _is_slow(site) else _FRAMES
+    most = _SLOW_FRAMES if site.observation.caster in (BVH, EXACT) else _FRAMES
     kept = filled[evenly_spread(len(filled), min(most, len(filled)))]
     parts = {f"holdout{name}": getattr(site.plan, f"{split}{name}")[kept] for name in ("", "_block", "_recording")}
     none = np.zeros(0, dtype=np.int64)
@@ -419,15 +414,14 @@ def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, layout: Lay
 
     It is about the one LiDAR of the space that is searched.
 
-    Of a few tilts about the planned one, the best on the searched frames is judged as a run's own mounting is.
+    Of a few tilts about the planned one, the best on the searched frames is judged, all as hung.
 
     Returns
     -------
     dict or None
-        ``deployment``, and beside the mounting what `run.verdict.judge` and `BoxShares.share_scores` say of it on the
-        frames that judge.
+        ``deployment``, and beside the mounting what `judge_as_hung` says of it, by the names of `as_planned`.
     """
-    bounds, axis, split = space.places[0].bounds, space.axes[1], "holdout"
+    bounds, axis = space.places[0].bounds, space.axes[1]
     if "height_m" not in bounds:
         return None
     low, high = bounds["height_m"]
@@ -440,11 +434,11 @@ def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, layout: Lay
         for tilt in tilts_beside(mounting, axis, bounds, _BESIDE_DEG)
     ]
     raised = [(*layout[:number], one, *layout[number + 1 :]) for one in higher]
-    best = int(np.argmax(evaluator.totals(raised).objective.sum(axis=1)))
-    layouts, seed = {"optimised": raised[best], BASELINE_NAME: layout}, site.scenario.search.seed
-    verdict, judging = judge(site, layouts, evaluator, seed)["optimised"], evaluator.held_out
-    if verdict["holdout"] is None:
-        split, seed, judging = "search", None, evaluator
-    after, before = vehicle_tables(list(layouts.values()), **{split: judging})
-    shares = BoxShares.of_split(before, after, split, site.plan, seed).share_scores()
-    return {"deployment": higher[best].as_table(), **(verdict["holdout"] or verdict), **shares}
+    best = int(np.argmax(searching(site, evaluator).totals(raised).objective.sum(axis=1)))
+    split, judging, seed = "search", evaluator, None
+    if evaluator.held_out.weight.sum():
+        split, judging, seed = "holdout", evaluator.held_out, site.scenario.search.seed
+    both = [layout, raised[best]]
+    boxes = BoxShares.of_split(*vehicle_tables(both, **{split: judging}), split, site.plan, seed)
+    _, found = judge_as_hung(boxes, *hung_scores(site.scenario, judging, both))
+    return {"deployment": higher[best].as_table(), **as_planned(found)}

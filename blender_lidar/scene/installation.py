@@ -16,8 +16,7 @@ from .mounting import ANGLES, Layout, Mounting
 
 ERRORS = ("height_m", *ANGLES)
 """The coordinates that errors are of."""
-_LOW, _HIGH = np.array([COORDINATE_LIMITS[key] for key in ERRORS]).T
-_LOW[1:], _HIGH[1:] = np.radians(_LOW[1:]), np.radians(_HIGH[1:])
+_LIMITS = [COORDINATE_LIMITS["height_m"], *(tuple(map(math.radians, COORDINATE_LIMITS[key])) for key in ANGLES)]
 _TRIES = 50  # Latin hypercubes of which the one is taken whose coordinates correlate least
 
 
@@ -30,7 +29,8 @@ def installed(plan: Mounting, error: np.ndarray) -> Mounting:
     if not error.any():
         return plan
     planned = plan.height_m, plan.tilt_x, plan.tilt_y, plan.yaw
-    return Mounting(plan.mast, *np.clip(planned + error, _LOW, _HIGH).tolist())
+    hung = (one + off for one, off in zip(planned, error.tolist(), strict=True))
+    return Mounting(plan.mast, *(min(max(one, low), high) for one, (low, high) in zip(hung, _LIMITS, strict=True)))
 
 
 def installed_layout(plan: Layout, errors: np.ndarray) -> Layout:
