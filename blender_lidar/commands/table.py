@@ -37,8 +37,9 @@ _TILTS = 26  # of a grid over the searched tilts: whole degrees over the paper's
 _AS_GOOD = "~"
 _HOW_TO_READ = (
     "Each cell: the detectable share of the boxes that judge, as hung, with its 90 % interval, and the best tilt, "
-    f"which the searched frames have chosen. {_AS_GOOD} marks no clear difference from the cell that is best on the searched "
-    "frames: the 90 % interval of the difference holds 0 or lies above; with little traffic it may hide a real one."
+    "which the searched frames have chosen. "
+    f"{_AS_GOOD} marks no clear difference from the cell that is best on the searched frames: the 90 % interval of the "
+    "difference holds 0 or lies above; with little traffic it may hide a real one."
 )
 
 

@@ -24,7 +24,7 @@ from .driver import HELD_OUT, Job, Landscape, StudyFolder, judging_split, split_
 from .effects import BOUND_LEVEL, SURE, Noise, Reference, compared, pareto_front, verdict
 from .variations import ABLATION, Ablation, Variation, ablations, of_fidelity, whole, with_only
 
-CHART_SCHEMA = 4  # of the stages and of the result
+CHART_SCHEMA = 5  # of the stages and of the result
 REFERENCE = Fidelity(DETAILS[-1])
 STRIDES = (1, 2, 4, 8)
 FRAME_SHARES = (1, 2, 4, 8)  # one of so many frames is looked at

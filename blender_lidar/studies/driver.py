@@ -21,6 +21,8 @@ from ..files import check_folder, check_unused, folder_lock, make_folder, read_t
 from ..metrics.catalogue import metric_named
 from ..metrics.vgop import occupancy
 from ..run.optimise import sensors_text
+from ..scene.deployment import Installer
+from ..scene.installation import installed_layout, latin_errors
 from ..scene.mounting import Layout, poses_of
 from ..scene.observation import CountedFrame, Observation
 from ..scene.provenance import check_identity, versions
@@ -206,6 +208,8 @@ class Variation:
     recast : bool
         False where the returns stay as the site has them and only what is made of them changes: cells, view,
         threshold, penalty, metric.
+    installers : sequence of Installer
+        Of each LiDAR, where each frame is scored under installation errors of its own; none unless said.
     """
 
     section: str
@@ -214,6 +218,7 @@ class Variation:
     changed: Callable[[Site], Site] = unchanged
     draw: int = 0
     recast: bool = True
+    installers: tuple[Installer, ...] = ()
 
     @property
     def stage(self) -> str:
@@ -297,6 +302,7 @@ class Landscape:
 
 # --- scoring ----------------------------------------------------------------------------------------------------------
 
+_ERRORS, _STREAM = 4, 3  # installation errors of each frame, and what they are drawn from besides the seed
 _MOUNTINGS_AT_A_TIME = 32  # so that all points of a frame that a metric looks at fit into memory
 
 
@@ -364,7 +370,10 @@ class _FrameOfCast:
             return self._changed
         shared, layouts = len(jobs) > 1, jobs[0].layouts
         site = self._site if shared else known[0][0]
-        chosen = split_of(site, jobs[0].split)[0][frame]
+        frames = split_of(site, jobs[0].split)[0]
+        chosen, errors = frames[frame], self._errors(jobs[0], len(frames))
+        if errors is not None:
+            layouts = [installed_layout(one, error) for one in layouts for error in errors[frame]]
         scorer, parts = FrameScorer(chosen.vehicles, chosen.counted, site.observation), []
         for first in range(0, len(layouts), _MOUNTINGS_AT_A_TIME):
             poses = list(map(poses_of, layouts[first : first + _MOUNTINGS_AT_A_TIME]))
@@ -373,9 +382,15 @@ class _FrameOfCast:
                 seen = _on_cells_of(own.observation, cast, site.observation, scorer.vehicles.size_m)
                 scored = scores.of_seen(chosen, scorer, seen, poses)
                 parts.append([scored.objective.sum(axis=1), scored.detectable.sum(axis=1)])
-        sums = iter(np.concatenate(parts[row :: len(known)], axis=1) for row in range(len(known)))
+        sums = [np.concatenate(parts[row :: len(known)], axis=1) for row in range(len(known))]
+        sums = iter(one.reshape(2, len(jobs[0].layouts), -1).mean(axis=2) for one in sums)
         size = len(scorer), chosen.counted_weight.sum().item()
         return [one if isinstance(one, str) else (*next(sums), *size) for one in self._changed]
+
+    def _errors(self, job: Job, frames: int) -> np.ndarray | None:
+        """Installation errors of each frame, (f, e, l, 4); None where mountings hang as planned."""
+        installers, seed = job.variation.installers, self._site.scenario.search.seed
+        return latin_errors(installers, frames, _ERRORS, [seed, _STREAM]) if installers else None
 
     def _change(self, job: Job) -> tuple[Site, VehicleScores] | str:
         try:

@@ -19,6 +19,7 @@ from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
 from ..run.what_if import mixes, with_traffic
+from ..scene.deployment import Installer
 from ..scene.site import Site, lattice_of, standing_scenery
 from ..scene.usual import ON_PLANE_M
 from ..scoring.fidelity import Fidelity, coarse_observation
@@ -210,6 +211,7 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
         *_median_barrier(site, own),
         *_pedestrians(site, own),
         *_heights(site, own),
+        _installation(site, own),
         Ablation("body shape", "body, not box", ((box, body),)),
         Ablation("finer shape", "detailed, not body", ((body, detailed),)),
         _azimuth_offsets(site, own),
@@ -246,6 +248,15 @@ def _pedestrians(site: Site, own: Variation) -> list[Ablation]:
         return []
     none = Variation(ABLATION, "pedestrians", "left out", without_pedestrians)
     return [Ablation("pedestrians", "who hide vehicles", ((none, own),))]
+
+
+def _installation(site: Site, own: Variation) -> Ablation:
+    """Installation errors, of each frame its own: those of the scene, or the usual ones of what hangs already."""
+    exact = all(one.is_exact for one in site.scenario.installers)
+    installers = tuple(Installer() for _ in site.scenario.lidars) if exact else site.scenario.installers
+    within = " or ".join(dict.fromkeys(one.text for one in installers if not one.is_exact))
+    shaken = Variation(ABLATION, "installation errors", within, installers=installers)
+    return Ablation("installation errors", within, ((own, shaken),))
 
 
 def _has_heights(site: Site) -> bool:
