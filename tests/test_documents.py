@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import re
 import tomllib
 from collections.abc import Mapping
@@ -176,6 +177,8 @@ def kind_text(declared) -> str:
     if get_origin(kind) is tuple:
         first = names.get(parts[0], "list" if get_origin(parts[0]) is tuple else "table")
         return f"list of {first}s" if ... in parts else f"list of {len(parts)} {first}s"
+    if dataclasses.is_dataclass(kind):
+        return "table" if declared.off is None else "table, or false"
     return {bool: "true or false"}.get(kind, "")
 
 
@@ -210,6 +213,8 @@ def keys_table() -> str:
 
 
 def toml_value(value: object) -> str:
+    if dataclasses.is_dataclass(value):
+        return f"{{ {', '.join(f'{key} = {toml_value(one)}' for key, one in dataclasses.asdict(value).items())} }}"
     if isinstance(value, tuple):
         return f"[{', '.join(map(toml_value, value))}]"
     return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)

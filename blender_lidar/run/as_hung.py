@@ -20,7 +20,7 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from .vehicle_table import BoxShares
 
-SEARCHED = 24  # installation errors of a search, at least, however few frames it has
+SEARCHED_ERRORS = 24  # installation errors of a search, at least, however few frames it has
 JUDGED_EACH = 8  # of each frame, under which the best few are judged
 JUDGED_BASE = 5  # its square is how many errors the figures stand on, of all frames each
 FEW_BASE = 3  # the same of what is told besides, of other traffic
@@ -40,7 +40,7 @@ def searching(site: Site, evaluator: Evaluator) -> Evaluator:
     """What a search scores mountings with: each frame under its own error, the fewer frames the more errors each."""
     if is_exact(site.scenario):
         return evaluator
-    each = math.ceil(SEARCHED / max(len(site.search), 1))
+    each = math.ceil(SEARCHED_ERRORS / max(len(site.search), 1))
     return evaluator.under(_latin(site, each, _SEARCH))
 
 
@@ -78,7 +78,7 @@ def _latin(site: Site, each: int, stream: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hung:
+class HungScores:
     """Scores of the n boxes of some frames under m installation errors, which stand for the same share of all each.
 
     Attributes
@@ -96,16 +96,18 @@ class Hung:
     height_off: np.ndarray
 
     @staticmethod
-    def chosen(several: Sequence[Hung], of_box: np.ndarray) -> Hung:
+    def chosen(several: Sequence[HungScores], of_box: np.ndarray) -> HungScores:
         """Of each box the scores of that one of several which `of_box` (n,) names."""
         box = np.arange(len(of_box))
-        stacked = (np.stack([getattr(one, field.name) for one in several]) for field in fields(Hung))
-        return Hung(*(np.moveaxis(values, 1, 0)[:, of_box, box] for values in stacked))
+        stacked = (np.stack([getattr(one, field.name) for one in several]) for field in fields(HungScores))
+        return HungScores(*(np.moveaxis(values, 1, 0)[:, of_box, box] for values in stacked))
 
     @staticmethod
-    def joined(parts: Sequence[Hung]) -> Hung:
+    def joined(parts: Sequence[HungScores]) -> HungScores:
         """Of the boxes of several, one after the other."""
-        return Hung(*(np.concatenate([getattr(one, field.name) for one in parts], axis=1) for field in fields(Hung)))
+        return HungScores(
+            *(np.concatenate([getattr(one, field.name) for one in parts], axis=1) for field in fields(HungScores))
+        )
 
 
 def installations(scenario: Scenario, plan: Layout, base: int = JUDGED_BASE) -> list[Layout]:
@@ -117,7 +119,7 @@ def installations(scenario: Scenario, plan: Layout, base: int = JUDGED_BASE) -> 
 
 def hung_scores(
     scenario: Scenario, evaluator: Evaluator, plans: Sequence[Layout], *, shaken: bool = True
-) -> list[Hung]:
+) -> list[HungScores]:
     """Scores of each plan as hung, boxes in the order of `vehicle_tables`; all in one call.
 
     Not `shaken`, as a baseline that hangs already, a plan has the scores of itself under every error.
@@ -133,19 +135,19 @@ def hung_scores(
     objective, detectable = (np.reshape(one, (len(plans), len(layouts) // len(plans), -1)) for one in rows)
     ends = count, count + len(degrees)
     return [
-        Hung(values[:count], found[:count], found[slice(*ends)], found[ends[1] :])
+        HungScores(values[:count], found[:count], found[slice(*ends)], found[ends[1] :])
         for values, found in zip(objective, detectable, strict=True)
     ]
 
 
-def judge_as_hung(boxes: BoxShares, before: Hung, after: Hung) -> tuple[dict, dict]:
+def judge_as_hung(boxes: BoxShares, before: HungScores, after: HungScores) -> tuple[dict, dict]:
     """Figures of the baseline and of a mounting as hung, under the same errors, as JSON holds them.
 
     Parameters
     ----------
     boxes : BoxShares
         The boxes that judge, as planned.
-    before, after : Hung
+    before, after : HungScores
 
     Returns
     -------

@@ -24,7 +24,7 @@ from ..statistics import (
     of_blocks,
     statistic_interval_90,
 )
-from .as_hung import Hung, HungObjective, hung_scores, judge_as_hung
+from .as_hung import HungScores, HungObjective, hung_scores, judge_as_hung
 from .vehicle_table import BoxShares, vehicle_tables, vehicle_weight
 
 REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
@@ -242,10 +242,10 @@ def _hung_cross_fitted(
 ) -> dict[str, dict]:
     """The same as hung: of each searched box the layout of `distinct` (n,) that judges it, then the held-out boxes."""
     before, chosen = _hung(site, evaluator, {BASELINE_NAME: layouts[BASELINE_NAME], **dict(enumerate(distinct))})
-    after = Hung.chosen(list(chosen.values()), of_box)
+    after = HungScores.chosen(list(chosen.values()), of_box)
     if evaluator.held_out.weight.sum():
         held_before, held = _hung(site, evaluator.held_out, layouts)
-        before, after = Hung.joined([before, held_before]), Hung.joined([after, held["optimised"]])
+        before, after = HungScores.joined([before, held_before]), HungScores.joined([after, held["optimised"]])
     base, found = judge_as_hung(boxes, before, after)
     return {BASELINE_NAME: base, "optimised": found}
 
@@ -261,7 +261,7 @@ def judge_hung(
     return {BASELINE_NAME: base, **{name: own for name, (_, own) in figures.items()}}
 
 
-def _hung(site: Site, judging: Evaluator, layouts: Mapping[str, Layout]) -> tuple[Hung, dict[str, Hung]]:
+def _hung(site: Site, judging: Evaluator, layouts: Mapping[str, Layout]) -> tuple[HungScores, dict[str, HungScores]]:
     """Scores as hung of the baseline, and of the others by name."""
     scenario = site.scenario
     others = {name: plan for name, plan in layouts.items() if name != BASELINE_NAME}
