@@ -24,7 +24,7 @@ from ..statistics import (
     of_blocks,
     statistic_interval_90,
 )
-from .as_hung import HungScores, HungObjective, hung_scores, judge_as_hung
+from .as_hung import HungObjective, HungScores, hung_scores, judge_as_hung
 from .vehicle_table import BoxShares, vehicle_tables, vehicle_weight
 
 REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
