@@ -158,7 +158,8 @@ def plot_score_map(path: str | Path, run: RunFolder, score_map: ScoreMap, lidar:
     grid, values = (score_map.tilt_deg, score_map.height_m), metric.shown(score_map.per_vehicle)
     what = "lean" if score_map.tilt == "lean_deg" else "tilt"
     about = f"{what} of {lidar}, the others held" if lidar else what
-    with sheet(path, 115.0, f"Objective over height and {about}", run_text(run.result)) as figure:
+    hung = " as hung" if errors_text(result) else ""
+    with sheet(path, 115.0, f"Objective{hung} over height and {about}", run_text(run.result)) as figure:
         axes = figure.add_subplot(xlabel=_TILT_LABELS[score_map.tilt], ylabel="Mounting height above the road [m]")
         mesh = axes.pcolormesh(*grid, values, cmap=colours(SCORE_COLOURS), shading="gouraud")
         figure.colorbar(mesh, ax=axes, label=metric.in_unit("Objective per vehicle"), pad=0.02)

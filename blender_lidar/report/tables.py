@@ -119,11 +119,11 @@ def _score_sections(result, compared):
         crossed = [result["cross_fitted"][name] for name in ("baseline", "optimised")]
         blocks = counted(crossed[0]["blocks"], "block")
         sections.append((f"Each block of time judged without it, {blocks}", _score_rows(result, crossed)))
-    if not (errors := errors_text(result)):
+    if not errors_text(result):
         return sections
     sections = [(f"{heading}, exactly as planned", rows) for heading, rows in sections]
     after, before, on = judged_hung(result)
-    return [*sections, (f"As hung ({errors}), on {on}", _hung_rows(result, before, after))]
+    return [*sections, (f"As hung, on {on}", _hung_rows(result, before, after))]
 
 
 def _hung_rows(result, before, after):
