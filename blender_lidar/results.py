@@ -153,7 +153,7 @@ class Plots:
         """How the best objective rose with the number of mountings tried."""
         if self.run.result["search"] is None:
             raise InputError("search: the run has no history: its mounting was given, or it was stopped")
-        return self._drawn("plot_convergence", history=self.run.read_history())
+        return self._drawn("plot_convergence", history=self.run.read_columns(of_search=True))
 
     def by_distance(self) -> Picture:
         """Scores and detectable shares by distance, before and after."""

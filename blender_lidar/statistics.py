@@ -15,7 +15,7 @@ FEW_VEHICLES = 10  # different ones; with fewer a share has no interval
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _LARGEST_PROBABILITY = 1.0 - 1e-9
 _RESAMPLES_AT_ONCE = 100  # of many mountings: all at once may fill the memory
-_ROUNDING = 1e-9  # of a mean of probabilities
+_HALF_A_BOX = 0.5  # less off 0 or 100 % of a block tells as little as nothing off
 _HALVINGS = 60  # of the angle: as near as floats come
 
 
@@ -368,12 +368,15 @@ def share_gain_interval_90(
 def _mean_over_blocks(
     values: np.ndarray, block: np.ndarray, seed: int, stratum: np.ndarray | None
 ) -> tuple[tuple[float, float] | None, bool]:
-    """Interval of the mean of values (n,) over blocks, and whether all but two blocks at most have whole means."""
+    """Interval of the mean of values (n,) over blocks, and whether all but two blocks at most have whole means.
+
+    A mean counts as whole within half a box: what is true of a box may be a share, as of installations.
+    """
     boxes, strata = block_sums(np.ones(len(block)), block), None if stratum is None else of_blocks(stratum, block)
     sums = block_sums(values, block)
     ends = statistic_interval_90(lambda weights: weights @ sums / (weights @ boxes), boxes, seed, strata)
-    means = sums / boxes
-    return ends, (np.abs(means - means.round()) > _ROUNDING).sum() < FEWEST_BLOCKS
+    off = np.abs(sums - boxes * (sums / boxes).round())
+    return ends, (off > _HALF_A_BOX).sum() < FEWEST_BLOCKS
 
 
 def _share_of_vehicles(hits: np.ndarray, vehicle: np.ndarray) -> tuple[float, float]:

@@ -66,7 +66,7 @@ def mount(height_m: float, tilt_x_deg: float = 0.0, **others: float) -> dict[str
 
 def scores(value: float, height_m: float, tilt_x_deg: float) -> dict:
     """A mounting as result.json has it."""
-    values = dict.fromkeys(("objective_per_vehicle", "objective_per_vehicle_as_hung"), value)
+    values = dict.fromkeys(("objective_per_vehicle", "objective_per_vehicle_as_searched"), value)
     return {"deployment": mount(height_m, tilt_x_deg), **values}
 
 

@@ -149,6 +149,7 @@ def test_a_baseline_that_hangs_already_is_not_shaken(runs, tmp_path, capsys):
     result = json.loads(out)
     held = result["baseline"]["holdout"]
     assert held["as_hung"]["detectable_share"] == held["detectable_share"]
+    assert result["baseline"]["objective_as_hung"] == result["baseline"]["objective"]
     assert result["holdout"]["as_hung"]["detectable_share"] != result["holdout"]["detectable_share"]
     assert result["identity"]["[baseline] installer"] is False
     again = load_scenario(tmp_path / "run" / "scene.toml")
@@ -236,10 +237,10 @@ def test_candidate_poles_are_ranked_as_hung(tmp_path):
     stand = {"poles": "poles.csv", "installer": WIDE, "height_m": [2.0, 4.5], "tilt_x_deg": 15.0}
     site = site_with(tmp_path, deployment=stand)
     result = optimised(site, tmp_path / "run")
-    hung = [pole["objective_as_hung"] for pole in result["poles"]]
+    hung = [pole["objective_per_vehicle_as_hung"] for pole in result["poles"]]
     assert hung == sorted(hung, reverse=True)
     assert result["poles"][0]["deployment"] == result["deployment"]
-    assert hung[0] == pytest.approx(result["objective_per_vehicle_as_hung"])
+    assert hung[0] == pytest.approx(result["objective_as_hung"] / result["vehicles"])
     assert history(tmp_path / "run" / "history.csv")[-1]["best"] == pytest.approx(result["objective_as_hung"])
     best = result["poles"][0]["holdout"]
     assert best["as_hung"]["detectable_share"] == pytest.approx(result["holdout"]["as_hung"]["detectable_share"])

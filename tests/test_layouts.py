@@ -250,9 +250,9 @@ def test_errors_are_searched_over_all_lidars_together(folder, tmp_path):
     with run.begun():
         result = optimise_site(site, run, listener)
     assert listener.labels[-1] == "under more installation errors"
-    rows = run.read_history()
-    assert rows.shape[1] == 3 + 4 + 2
-    assert rows[-1, -1] == pytest.approx(result["objective_as_hung"])
+    columns = run.read_columns()
+    assert len(columns) == 3 + 4 + 2
+    assert columns["best"][-1] == pytest.approx(result["objective_as_hung"])
     assert run.file("history_candidates.csv").exists()
 
 

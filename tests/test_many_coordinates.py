@@ -80,7 +80,10 @@ def test_every_sentence_of_an_optimum_in_more_than_two_coordinates_names_them_al
 )
 def test_the_worst_of_several_searches_has_less_gain_or_none(values, said):
     seeds = [{"deployment": {"height_m": 3.0}, "objective_per_vehicle": value} for value in values]
-    result = {"spread": {"searched": ["height_m"], "seeds": seeds}, "baseline": {"objective_per_vehicle": 1.0}}
+    result = {
+        "spread": {"searched": ["height_m"], "seeds": seeds},
+        "baseline": {"objective_per_vehicle_as_searched": 1.0},
+    }
     text = seeds_text(result)
     assert text.endswith("height 3.00 to 3.00 m" if said is None else said)
 

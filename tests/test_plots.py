@@ -134,7 +134,7 @@ def test_convergence_leaves_out_candidates_without_a_value(tmp_path, figures):
 
 
 def test_charts_tell_the_objective_as_hung(tmp_path, figures):
-    hung = {**scores(0.7, 3.0, 10.0), "objective_per_vehicle_as_hung": 0.6}
+    hung = {**scores(0.7, 3.0, 10.0), "objective_per_vehicle_as_searched": 0.6}
     run = run_of(**hung, lidars=[{"name": "", "installer": {"tilt_deg": 1.0}}])
     plot_convergence(tmp_path / "c.png", run, history())
     plot_score_map(tmp_path / "m.png", run, score_map())
@@ -172,7 +172,7 @@ def test_the_score_map_marks_a_mounting_off_the_map_at_its_edge(tmp_path, figure
 )
 def test_the_score_map_copes_with_flat_and_steep_maps(values, best, text, tmp_path, figures):
     landscape = score_map() if values is None else replace(score_map(), per_vehicle=values)
-    plot_score_map(tmp_path / "m.png", run_of(objective_per_vehicle=best), landscape)
+    plot_score_map(tmp_path / "m.png", run_of(objective_per_vehicle_as_searched=best), landscape)
     assert text in words(figures[0])
 
 

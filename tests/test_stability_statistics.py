@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.metrics.catalogue import PE_VGOP, metric_named
-from blender_lidar.scene.settings import Tolerance
+from blender_lidar.scene.deployment import Installer
 from blender_lidar.statistics import resampled_weights, statistic_interval_90
 from blender_lidar.studies.candidates import BASELINE, FIRST, Candidates
 from blender_lidar.studies.driver import HELD_OUT, SEARCHED, Landscape
@@ -47,7 +47,7 @@ from blender_lidar.studies.findings import (
 
 REFERENCE = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0, "tilt_x_deg": 10.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
 CHANGE = ("metric", "what", "value")
-TOLERANCE = Tolerance(height_m=0.05, tilt_deg=1.0, yaw_deg=0.0, aim="mean")
+INSTALLER = Installer(height_m=0.05, tilt_deg=1.0, yaw_deg=0.0)
 
 
 def grid(tilts):
@@ -395,7 +395,7 @@ def test_an_installer_is_told_what_each_error_costs(aim, together):
     vehicles, noise = 100, np.random.default_rng(0).normal(size=20)
     values = vehicles * (np.array(levels)[:, None] + 0.001 * noise)
     hung = Landscape(values, np.full(20, vehicles), detectable=values)
-    lines = installation_findings(hung, replace(TOLERANCE, aim=aim), judges(20))
+    lines = installation_findings(hung, [replace(INSTALLER, aim=aim)], judges(20))
     names = [f"{one.what} {one.value}" for one in lines]
     assert names[:3] == ["height 0.05 m less", "height 0.05 m more", "tilt across the road 1 deg less"]
     assert [one.verdict for one in lines[:4]] == [AT_MOST_FRAGILE, STABLE, FAILS, STABLE]  # the first loses 1 point

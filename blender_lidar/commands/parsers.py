@@ -266,7 +266,7 @@ def _detect(subparsers) -> None:
         "sweeps --axes flu --pose 0 0 4.1 0 0 0 --out boxes",
         "sweeps --commission found --detector classical --boxes boxes.csv",
     )
-    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster"))
+    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster", "--installer"))
     add_pose(parser)
     _detector(parser, "pillars")
     clouds = parser.add_argument_group(
@@ -310,7 +310,7 @@ def _dataset(subparsers) -> None:
         "i80 --mountings 20 --out i80_set",
         "i80 --frames 50 --mountings 50 --scans 2500 --layout kitti --layout nuscenes --out i80_set",
     )
-    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster"))
+    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster", "--installer"))
     add_options(parser, DatasetOptions, {"data set": tuple(settings_of(DatasetOptions))})
     _output(parser)
 

@@ -153,7 +153,7 @@ def _installers(scenario):
     """Within what each LiDAR hangs of its plan; empty where all hang already."""
     texts = {lidar.name: lidar.deployment.installer for lidar in scenario.lidars}
     texts = {name: "hangs already" if one.is_exact else one.text for name, one in texts.items()}
-    aim = "" if scenario.aim == "mean" else "; aims at what nine of ten installations reach"
+    aim = "" if scenario.aim == "mean" else "; aims at the 10 % quantile over these errors"
     if set(texts.values()) == {"hangs already"}:
         return ""
     if len(set(texts.values())) == 1:

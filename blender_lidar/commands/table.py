@@ -134,7 +134,7 @@ def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> t
     angles = {key: place.fixed[key] for key in (*ANGLES, *LEANS) if key in place.fixed}
     tilts = np.linspace(*place.bounds[axis], _TILTS).round(9) if axis in place.bounds else [place.fixed[axis]]
     places = [(setback, height) for setback in setbacks for height in heights]
-    hung, worth, started = [], [], time.perf_counter()
+    plans, worth, started = [], [], time.perf_counter()
     progress = closing(Progress(len(places), "places"))
     with site_evaluator(site, site.search, site.holdout) as evaluator, progress as shown:
         searched = searching(site, evaluator)
@@ -142,16 +142,19 @@ def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> t
             plain = mounting_at(scenario, setback, height)
             tried = [(changed_mounting(plain, road, **{**angles, axis: float(tilt)}),) for tilt in tilts]
             objective = searched.totals(tried).objective.sum(axis=1)
-            hung.append((tried[int(np.argmax(objective))], float(tilts[int(np.argmax(objective))])))
+            plans.append((tried[int(np.argmax(objective))], float(tilts[int(np.argmax(objective))])))
             worth.append(objective.max())
             shown.advance(1)
         split = "holdout" if evaluator.held_out.weight.sum() else "search"
         judging = {split: evaluator.held_out if split == "holdout" else evaluator}
-        layouts = [layout for layout, _ in hung]
-        tables, scores = vehicle_tables(layouts, **judging), hung_scores(scenario, judging[split], layouts)
+        layouts = [layout for layout, _ in plans]
+        tables, scores = (
+            vehicle_tables(layouts, **judging),
+            hung_scores(scenario, judging[split], layouts, singles=False),
+        )
     top, seed = int(np.argmax(worth)), scenario.search.seed if split == "holdout" else None
     cells = []
-    for (setback, height), (_, tilt), table, own in zip(places, hung, tables, scores, strict=True):
+    for (setback, height), (_, tilt), table, own in zip(places, plans, tables, scores, strict=True):
         boxes = BoxShares.of_split(tables[top], table, split, site.plan, seed)
         shares = boxes.with_detectable(*(one.detectable.mean(axis=0) for one in (scores[top], own))).shares()
         ends = shares["gain_interval_90"]

@@ -17,8 +17,9 @@ from .summary import (
     as_sentence,
     better_than_baseline,
     each_lidar,
+    errors_text,
     in_brackets,
-    judged,
+    judged_hung,
     leans,
     measured,
     minus,
@@ -124,6 +125,8 @@ def lorries_text(result: Mapping) -> str:
     if worst is None or whole["detectable_share"] is None or worst["detectable_share"] is None:
         return ""
     after, before = map(_share_with_count, (worst, whole))
+    if len(approaches) > 1:  # chosen on the frames that it is told on, and so without an interval
+        after = f"{_share_with_count({**worst, 'interval_90': None})}, the fewest of {len(approaches)} approaches,"
     instead = "as recorded" if after == before else f"instead of {before}"
     in_place = other.get("in_place")
     of = f" (from {result['lidars'][0]['name']})" if result.get("layout") and not in_place else ""
@@ -151,7 +154,7 @@ def heights_text(result: Mapping) -> str:
     if low <= mix["detectable_share"] <= high:
         return ""
     after, before = map(_share_with_count, (mix, whole))
-    text = "The recording has one height for each class, and that matters"
+    text = "Some classes have one height each in the recording, and that matters"
     return f"{text}: with those of a real fleet {after} would be detectable instead of {before}"
 
 
@@ -188,12 +191,13 @@ def crossed_text(result: Mapping) -> str:
         "too few blocks of time (under six) are held out for a check of their own, so each block has judged the "
         "mounting that is best on the other blocks (cross-fitting): the figures are those of this procedure, and the "
         "mounting above, the best on all searched blocks, was not checked itself"
+        + (", nor that the best few were judged again under more installation errors" if errors_text(result) else "")
     )
 
 
 def _undecided_by_threshold(result):
     """Why the detectable share says nothing, where every vehicle is detectable, or none, under both mountings."""
-    found, base, on = judged(result)
+    found, base, on = judged_hung(result)
     if found["detectable_share"] != base["detectable_share"] or 0.0 < found["detectable_share"] < 1.0:
         return ""
     every, change = ("every", "higher") if found["detectable_share"] else ("no", "lower")
@@ -224,6 +228,8 @@ def _map_notes(result):
         found.append(
             f"A point of {grid} was better than the mounting of the search, so a local search went on from there."
         )
+    elif shortfall == 0 and errors_text(result):
+        found.append(f"The best point of {grid} is no better as hung than the mounting found.")
     elif shortfall == 0:
         found.append(f"No point of {grid} is better than the mounting found.")
     elif shortfall is not None and shortfall < _SMALL_SHORTFALL:
@@ -255,7 +261,7 @@ def seeds_text(result: Mapping) -> str:
         if len(found) == len(spread["seeds"]):  # without a lean there is no direction
             places.append(f"{name} {min(found):.{_DIGITS[unit]}f} to {max(found):.{_DIGITS[unit]}f} {unit}")
     values = [one["objective_per_vehicle"] for one in spread["seeds"]]
-    base, best = result["baseline"]["objective_per_vehicle"], max(values)
+    base, best = result["baseline"]["objective_per_vehicle_as_searched"], max(values)
     lacks = "" if best <= base else ", the worst of them no better than the baseline"
     if min(values) > base:
         lacks = f", the worst of them with {100 * (best - min(values)) / (best - base):.1f} % less gain than the best"

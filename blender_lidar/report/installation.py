@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from ..metrics.catalogue import DETECTABLE
+from ..scene.deployment import Installer
 from ..scene.directions import UPRIGHT_DEG, bearing_deg, pointing
 from ..scene.mounting import Mast
 from ..scene.site import Site
@@ -200,15 +201,17 @@ def _lowest_beam(site, mounting):
 def _expected(result):
     """What to expect, on the frames that did not choose the mounting where there are any."""
     *_, on = judged(result)
-    errors = errors_text(result)
-    within = f" within {errors} of this plan" if errors else ""
-    lines, layout, of_layout = [f"Expected{within}, on {on}"], result.get("layout"), ()
+    errors, own = errors_text(result), result["installer"]
+    lines, layout, of_layout = [f"Expected {'as hung ' * bool(errors)}on {on}"], result.get("layout"), ()
+    planned = "exactly as planned, " if errors else ""
+    if errors:
+        lines.append(f"- hung within {Installer(**own).text} of this plan" if own else "- it hangs already, as planned")
     if layout:
         own = next(one for one in layout["parts"] if one["name"] == result["name"])
         points, around = measured(DETECTABLE, *(own["without"][f"share_gain{of}"] for of in ("", "_interval_90")), "+")
         held = optimum_text({**result, "spread": None})
         of_layout = (
-            f"these are figures of all {len(result['lidars'])} LiDARs together; {result['name']} alone has "
+            f"{planned}these are figures of all {len(result['lidars'])} LiDARs together; {result['name']} alone has "
             f"{percent(own['alone'])}, and the others gain {points} percentage points{in_brackets(around)} by it",
             over_single_text(result),
             held and f"with the others held, {held}",
@@ -217,7 +220,7 @@ def _expected(result):
         worth(result),
         planned_text(result),
         *of_layout,
-        approaches_text(result),
+        approaches_text(result) and f"{planned}{approaches_text(result)}",
         optimum_text(result),
         next_metre_text(result),
     )

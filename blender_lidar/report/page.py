@@ -303,7 +303,7 @@ def _scores(run: RunFolder):
         words["as hung"] = (
             f"expected over installation errors of {errors_text(result)}, each uniform and independent of the others; "
             "the interval is over blocks of time. Nine of ten installations, of traffic of this kind, reach the share "
-            "that is given. All other tables show the mounting exactly as planned."
+            "that is given. Poles are ranked as hung; all other tables show the mounting exactly as planned."
         )
     if result["holdout"]:
         words |= {

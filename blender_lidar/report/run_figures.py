@@ -63,7 +63,7 @@ def draw_charts(site: Site, run: RunFolder) -> list[str]:
     """
     charts = {}
     if was_searched(run.result):
-        charts["convergence.png"] = partial(plot_convergence, run=run, history=run.searched)
+        charts["convergence.png"] = partial(plot_convergence, run=run, history=run.read_columns(of_search=True))
         for name in each_lidar(run.result):
             if (found := run.read_score_map(name)) is not None:
                 charts[of_lidar("score_map.png", name)] = partial(plot_score_map, run=run, score_map=found, lidar=name)
@@ -99,7 +99,7 @@ def plot_convergence(path: str | Path, run: RunFolder, history: Mapping[str, np.
     """
     result, metric = run.result, metric_named(run.result["metric"])
     over = " under installation errors" if errors_text(result) else ""
-    baseline = result["baseline"]["objective_per_vehicle_as_hung"]
+    baseline = result["baseline"]["objective_per_vehicle_as_searched"]
     evaluation, vehicles = history["evaluation"], result["vehicles"]
     if WEIGHT in run.baseline:
         vehicles = run.baseline[WEIGHT][run.baseline["split"] == "search"].sum()
@@ -169,10 +169,10 @@ def plot_score_map(path: str | Path, run: RunFolder, score_map: ScoreMap, lidar:
         handles = []
         for name, scores, marker, size in marks:
             look = {"marker": marker, "markersize": size}
-            amount = metric.amount(scores["objective_per_vehicle_as_hung"])
+            amount = metric.amount(scores["objective_per_vehicle_as_searched"])
             handles.append(_mark(axes, score_map, scores["deployment"], name, amount, look))
-        best = max(result["objective_per_vehicle_as_hung"], score_map.per_vehicle.max())
-        least = near_best_threshold(best, result["baseline"]["objective_per_vehicle_as_hung"], REGION_SHARE)
+        best = max(result["objective_per_vehicle_as_searched"], score_map.per_vehicle.max())
+        least = near_best_threshold(best, result["baseline"]["objective_per_vehicle_as_searched"], REGION_SHARE)
         handles.append(_draw_region(axes, score_map, least))
         legend_below(figure, handles, columns=len(handles))
 

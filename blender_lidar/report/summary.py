@@ -432,7 +432,11 @@ def planned_text(result: Mapping) -> str:
     hung, (planned, within) = found["as_hung"], share_texts(found)
     worst = {"one degree off in one tilt": hung["worst_degree"], "10 cm off in height": hung["worst_10_cm"]}
     off = " and ".join(f"{what} at worst {_share(share)} %" for what, share in worst.items())
-    low = "" if hung["nine_of_ten"] is None else f"nine of ten installations reach {_share(hung['nine_of_ten'])} %; "
+    low = (
+        ""
+        if hung["nine_of_ten"] is None
+        else f"nine of ten installations, in traffic of this kind, reach {_share(hung['nine_of_ten'])} %; "
+    )
     return f"{low}exactly as planned it would be {planned} %{in_brackets(within)}, {off}"
 
 
@@ -464,7 +468,8 @@ def over_single_text(result: Mapping) -> str:
         (number, within), ends = measured(measure, gain[key], gain[interval], "+"), gain[interval]
         unsure = ", which holds 0: not shown" if ends and ends[0] <= 0.0 <= ends[1] else ""
         texts.append(f"{of} changes by {minus(number)} {unit}{in_brackets(within + unsure) or ' (no interval)'}")
-    return f"compared with {what} ({' and '.join(first)}), {' and '.join(texts)}, on {layout_frames(result)} frames"
+    planned, on = "exactly as planned and " if errors_text(result) else "", layout_frames(result)
+    return f"{planned}compared with {what} ({' and '.join(first)}), {' and '.join(texts)}, on {on} frames"
 
 
 def layout_frames(result: Mapping) -> str:

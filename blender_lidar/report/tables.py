@@ -212,7 +212,7 @@ def poles_table(result: Mapping) -> TextTable | None:
     rows = []
     for pole in poles:
         scores = pole["holdout"] or pole
-        cells = [f"{pole['height_on_pole_m']:.2f}", metric.number(pole["objective_as_hung"], -1)]
+        cells = [f"{pole['height_on_pole_m']:.2f}", metric.number(pole["objective_per_vehicle_as_hung"], -1)]
         cells.append(_hung_percent(scores["as_hung"]) if held else percent(scores))
         if held:
             ends, apart = scores["interval_90"], scores["differs"]
@@ -220,9 +220,12 @@ def poles_table(result: Mapping) -> TextTable | None:
             cells += [difference if pole["rank"] > 1 else "", within, _YES[apart]]
         cells += ["" if pole["cost"] is None else f"{pole['cost']:g}", _YES[pole["existing"]]]
         rows.append((pole["name"], *cells))
-    judged_on = "held-out frames" if held else f"{frames_word(result)} frames"
-    head = ["pole, best first", "height on it [m]", metric.in_unit("objective, searched frames")]
-    head.append(f"detectable{', as hung' * bool(held and errors_text(result))}")
+    judged_on, hung = (
+        "held-out frames" if held else f"{frames_word(result)} frames",
+        ", as hung" * bool(errors_text(result)),
+    )
+    head = ["pole, best first", "height on it [m]", metric.in_unit(f"objective{hung}, searched frames")]
+    head.append(f"detectable{hung * held}")
     head += ["difference", "90 %, all together", "differs"] * held + ["cost", "existing"]
     return TextTable(f"Candidate poles, on {judged_on}", [_head(*head)], [("", rows)])
 

@@ -22,6 +22,7 @@ from .vehicle_table import BoxShares
 
 SEARCHED_ERRORS = 24  # installation errors of a search, at least, however few frames it has
 JUDGED_EACH = 8  # of each frame, under which the best few are judged
+LOW_BASE = 7  # its square is how many errors, of all frames each, a quantile is searched over
 JUDGED_BASE = 5  # its square is how many errors the figures stand on, of all frames each
 FEW_BASE = 3  # the same of what is told besides, of other traffic
 LOW_SHARE = 0.1  # the share of installations that may fall below what "low" aims at
@@ -50,7 +51,7 @@ class HungObjective:
     Every frame has `JUDGED_EACH` errors of its own, other ones than the search has. On scenes/i80.toml and an
     intersection (RESCO's cologne1, 16 good mountings each) differences between mountings err by 0.0021 and 0.0035 bits
     per vehicle (root mean square); 25 errors, each of all frames, by 0.0011 and 0.0042 at three times the cost. A
-    quantile needs each error on all frames: it is that of `JUDGED_BASE` squared.
+    quantile needs each error on all frames: it is that of `LOW_BASE` squared.
     """
 
     def __init__(self, site: Site, evaluator: Evaluator) -> None:
@@ -63,7 +64,7 @@ class HungObjective:
         """Of each layout, (s,), in the metric's unit."""
         if self._scenario.aim == "mean":
             return self._mean.totals(layouts).objective.sum(axis=1)
-        errors = orthogonal_errors(self._scenario.installers, JUDGED_BASE)
+        errors = orthogonal_errors(self._scenario.installers, LOW_BASE)
         hung = [installed_layout(plan, error) for plan in layouts for error in errors]
         objective = self._evaluator.totals(hung).objective.sum(axis=1).reshape(len(layouts), len(errors))
         return np.quantile(objective, LOW_SHARE, axis=1, method="hazen")  # each of m stands for 1 / m of the errors
@@ -118,20 +119,20 @@ def installations(scenario: Scenario, plan: Layout, base: int = JUDGED_BASE) -> 
 
 
 def hung_scores(
-    scenario: Scenario, evaluator: Evaluator, plans: Sequence[Layout], *, shaken: bool = True
+    scenario: Scenario, evaluator: Evaluator, plans: Sequence[Layout], *, shaken: bool = True, singles: bool = True
 ) -> list[HungScores]:
     """Scores of each plan as hung, boxes in the order of `vehicle_tables`; all in one call.
 
-    Not `shaken`, as a baseline that hangs already, a plan has the scores of itself under every error.
+    Not `shaken`, as a baseline that hangs already, a plan has the scores of itself under every error. Without `singles`
+    errors of one coordinate alone are left out.
     """
-    degrees, heights = single_errors(scenario.installers, DEGREE, HEIGHT_M)
+    degrees, heights = single_errors(scenario.installers, DEGREE, HEIGHT_M) if singles else ([], [])
     layouts, count = [], 1
     for plan in plans:
         hung = installations(scenario, plan) if shaken else [plan]
         count = len(hung)
         layouts += [*hung, *(installed_layout(plan, error) for error in (*degrees, *heights))]
-    scored = [one for one in evaluator.by_vehicle(layouts) if one.objective.shape[1]]
-    rows = (np.concatenate([getattr(one, name) for one in scored], axis=1) for name in ("objective", "detectable"))
+    rows = evaluator.by_box(layouts)
     objective, detectable = (np.reshape(one, (len(plans), len(layouts) // len(plans), -1)) for one in rows)
     ends = count, count + len(degrees)
     return [

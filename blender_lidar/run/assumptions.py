@@ -75,10 +75,12 @@ def installation_assumed(scenario: Scenario) -> list[str]:
     shaken = {name: one.text for name, one in shaken.items() if not one.is_exact}
     if not shaken:
         return []
-    who = "The LiDAR hangs" if len(scenario.lidars) == 1 else f"{' and '.join(shaken)}: each hangs"
-    within = " or ".join(dict.fromkeys(shaken.values()))
+    named = [f"LiDAR {name} hangs within {text}" for name, text in shaken.items()]
+    if len(shaken) == len(scenario.lidars) and len(set(shaken.values())) == 1:
+        who = "Each" if len(shaken) > 1 else "The"
+        named = [f"{who} LiDAR hangs within {next(iter(shaken.values()))}"]
     return [
-        f"{who} within {within} of its plan, errors uniform and independent: tilts between a digital "
+        f"{', '.join(named)} of its plan, errors uniform and independent: tilts between a digital "
         "level (0.1°) and a phone's inclinometer (1°), heights by tape, yaw by eye; `installer` in the scene changes it"
     ]
 

@@ -245,16 +245,10 @@ class RunFolder:
             columns |= {f"{_BLOCK_RECORDING}{block}": np.full(height.size, recording[block]) for block in blocks}
         write_columns(self.file(of_lidar(SCORE_MAP, lidar)), columns)
 
-    def read_history(self) -> np.ndarray:
-        """The rows of history.csv, (evaluations, columns)."""
-        with _columns_of(self.file(HISTORY)) as columns:
-            return np.column_stack([*columns.values()])
-
-    @property
-    def searched(self) -> dict[str, np.ndarray]:
-        """The columns of the history of the search itself by their names, (evaluations,) each."""
-        name = next(name for name in (HISTORY_CANDIDATES, HISTORY) if self.file(name).exists() or name == HISTORY)
-        with _columns_of(self.file(name)) as columns:
+    def read_columns(self, *, of_search: bool = False) -> dict[str, np.ndarray]:
+        """The columns of history.csv by their names, (evaluations,) each; or `of_search`, where that has its own."""
+        own = of_search and self.file(HISTORY_CANDIDATES).exists()
+        with _columns_of(self.file(HISTORY_CANDIDATES if own else HISTORY)) as columns:
             return columns
 
     def _read_vehicles(self, name):

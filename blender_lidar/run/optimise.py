@@ -176,11 +176,16 @@ def _conclude(
         crossed, boxes = judge_cross_fitted(site, evaluator, layouts, without_block, tables)
     groups, of_hung = boxes.groups(site), HungObjective(site, evaluator)
     objective = dict(zip((*layouts, *of_maps), of_hung([*layouts.values(), *of_maps.values()]).tolist(), strict=True))
+    as_searched = searching(site, evaluator).totals(list(layouts.values())).per_vehicle()
+    as_searched = dict(zip(layouts, as_searched.tolist(), strict=True))
+    if scenario.baseline_hangs:
+        objective[BASELINE_NAME] = verdict[BASELINE_NAME]["objective"]
+        as_searched[BASELINE_NAME] = verdict[BASELINE_NAME]["objective_per_vehicle"]
     for name, scores in verdict.items():
         scores["objective_as_hung"] = objective[name]
-        scores["objective_per_vehicle_as_hung"] = objective[name] / float(evaluator.weight.sum())
+        scores["objective_per_vehicle_as_searched"] = as_searched[name]
     gains = {name: one["objective_gain"] for name, one in hung.items() if name != BASELINE_NAME}
-    lidars = _lidar_rows(site, evaluator, found, objective, gains if split == "holdout" else None)
+    lidars = _lidar_rows(site, evaluator, found, objective, as_searched, gains if split == "holdout" else None)
     rungs = [rung_costs(search) for search in searches if isinstance(search, MultiFidelitySearch)]
     result = {
         "schema": RUN_SCHEMA,
@@ -256,17 +261,16 @@ def _lidar_rows(
     evaluator: Evaluator,
     found: SearchOutcome,
     objective: Mapping[str, float],
+    searched: Mapping[str, float],
     gains: Mapping[str, float] | None,
 ) -> list[dict]:
     """Of each LiDAR its sensor, where it hangs and points, what was searched, and its score map in numbers.
 
-    `objective` is as hung, of the mountings by name, and `gains` those in it on held-out frames.
+    `objective` is as hung, of the mountings by name, `searched` per vehicle as the search sees it, and `gains` those on
+    held-out frames.
     """
     layout, seed, rows = found.layouts["optimised"], site.scenario.search.seed, []
-    weight, searched = float(evaluator.weight.sum()), {}
-    if any(one is not None for one in found.maps):
-        values = searching(site, evaluator).totals(list(found.layouts.values())).per_vehicle()
-        searched = dict(zip(found.layouts, values.tolist(), strict=True))
+    weight = float(evaluator.weight.sum())
     of_each = zip(site.each, layout, site.scenario.baselines, found.spaces, found.maps, strict=True)
     for number, (one, mounting, baseline, space, on_map) in enumerate(of_each):
         name, map_row = one.scenario.lidar_name, None

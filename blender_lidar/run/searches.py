@@ -199,9 +199,6 @@ def search_layout(site: Site, evaluator: Evaluator, replay: Replay, listener: Li
             start = _on_map(space, on_map[0], found.point(number))
             if found.accept(space, found.polish(space, start, f"{scenario.lidars[number].name}, polish")):
                 polished.add(number)
-    if polished:  # the others hang elsewhere now than when the maps were made
-        maps = [_map_of(site, searched, found, number, listener) for number in range(len(found.places))]
-    spaces = [None if place is None else found.space(number) for number, place in enumerate(found.places)]
     searches, histories = [search for _, search in found.searches], [layout_history(found)]
     free = [number for number, place in enumerate(found.places) if place is not None and place.bounds]
     joint, without_block, spread = found.space(*free), None, None
@@ -217,6 +214,9 @@ def search_layout(site: Site, evaluator: Evaluator, replay: Replay, listener: Li
         found.layout = list(joint.layout(hung.best_x))
         searches.append(hung)
         histories.insert(0, (hung.history, joint.variables))
+    if polished or len(histories) > 1:  # the others hang elsewhere now than when the maps were made
+        maps = [_map_of(site, searched, found, number, listener) for number in range(len(found.places))]
+    spaces = [None if place is None else found.space(number) for number, place in enumerate(found.places)]
     answer = tuple(found.layout)
     layouts = {"optimised": answer, BASELINE_NAME: scenario.baselines}
     steps = [*found.steps[:-1], answer]

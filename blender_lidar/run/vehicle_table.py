@@ -21,6 +21,7 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.scores import Scored
 from ..statistics import (
+    FEW_VEHICLES,
     block_sums,
     drawn_blocks,
     of_blocks,
@@ -286,7 +287,7 @@ class BoxShares:
 
         `detectable` (m, n) is that of m installations, `share` which quantile; None where there is no interval.
         """
-        if self._seed is None:
+        if self._seed is None or len(np.unique(self.before["vehicle_id"])) < FEW_VEHICLES:
             return None
         boxes, strata = block_sums(np.ones(len(self.block)), self.block), of_blocks(self.recording, self.block)
         if (drawn := drawn_blocks(boxes, self._seed, strata)) is None:

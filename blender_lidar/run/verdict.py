@@ -299,7 +299,7 @@ def rank_places(
     -------
     rows : list of dict, k
         Of each pole its table's values, ``deployment``, ``height_on_pole_m`` above its foot, scores as planned on the
-        searched frames and in ``holdout``, ``objective_as_hung`` per vehicle, by which they are ranked, and in
+        searched frames and in ``holdout``, ``objective_per_vehicle_as_hung``, by which they are ranked, and in
         ``holdout`` ``as_hung``: the detectable share, and of the objective per vehicle ``difference_to_best``, its
         ``interval_90``, which hold for all poles together (see `many_to_one_reach_90`), and whether that leaves nought
         out, ``differs``, by more than what breaks ties. ``holdout`` is None where nothing was held out, the interval
@@ -325,7 +325,7 @@ def rank_places(
                 "height_on_pole_m": mounting.height_m - pole.foot_z_m,
                 "objective_per_vehicle": float(searched.per_vehicle()[number]),
                 "detectable_share": float(searched.detectable_share()[number]),
-                "objective_as_hung": float(hung[number] / evaluator.weight.sum()),
+                "objective_per_vehicle_as_hung": float(hung[number] / evaluator.weight.sum()),
                 "holdout": None if held_out is None else held_out[rank],
             }
         )
@@ -337,7 +337,7 @@ def _places_held_out(site: Site, judging: Evaluator, plans: Sequence[Layout]) ->
     if not judging.weight.sum():
         return None
     plan, seed = site.plan, site.scenario.search.seed
-    tables, hung = vehicle_tables(plans, holdout=judging), hung_scores(site.scenario, judging, plans)
+    tables, hung = vehicle_tables(plans, holdout=judging), hung_scores(site.scenario, judging, plans, singles=False)
     planned = judging.totals(plans).per_vehicle()
     boxes = [BoxShares.of_split(tables[0], table, "holdout", plan, seed) for table in tables]
     block, recording = boxes[0].block, boxes[0].recording

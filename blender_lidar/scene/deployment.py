@@ -126,7 +126,7 @@ class MountingErrors:
 class Installer(MountingErrors):
     """Installation errors: how far off its plan a LiDAR may end up.
 
-    `aim` is what of the objective over them a search maximises: its mean, or low, what nine of ten installations reach.
+    `aim` is what of the objective over them a search maximises: its mean, or low, its 10 % quantile.
     """
 
     tilt_deg: float = setting(0.5, low=0.0, high=10.0)
@@ -159,7 +159,8 @@ class StandSettings:
         Least height of a LiDAR over the lanes [m], on a gantry.
     installer : Installer
         Installation errors, half-widths of independent uniform ones: tilt_deg=0.5 (both tilts), height_m=0.05,
-        yaw_deg=2; aim=low maximises what nine of ten installations reach, not the mean; false: it hangs already.
+        yaw_deg=2; aim=low maximises the 10 % quantile of the objective over them, not its mean; false: it hangs
+        already.
     """
 
     poles: str | None = setting(None, is_path=True)

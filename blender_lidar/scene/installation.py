@@ -6,7 +6,7 @@ Errors are arrays (..., l, 4): of each LiDAR its height [m], tilt across, tilt a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from .mounting import ANGLES, Layout, Mounting
 
 ERRORS = ("height_m", *ANGLES)
 """The coordinates that errors are of."""
-_LIMITS = [COORDINATE_LIMITS["height_m"], *(tuple(map(math.radians, COORDINATE_LIMITS[key])) for key in ANGLES)]
-_TRIES = 50  # Latin hypercubes of which the one is taken whose coordinates correlate least
+_TILTS = tuple(map(math.radians, COORDINATE_LIMITS[ANGLES[0]]))
+_LIMITS = COORDINATE_LIMITS["height_m"], _TILTS, _TILTS, (-math.inf, math.inf)  # yaw is a circle
+_TRIES = 50  # Latin hypercubes, or orders, of which the one is taken whose coordinates correlate least
 
 
 def installed(plan: Mounting, error: np.ndarray) -> Mounting:
@@ -44,16 +45,27 @@ def orthogonal_errors(installers: Sequence[Installer], base: int) -> np.ndarray:
     Each coordinate takes base^2 evenly spaced values, once each; each pair of a LiDAR's coordinates falls once into
     each of base x base squares (Owen 1992, Tang 1993). With an error the opposite one is there, so that what falls on
     one side of a plan as it rises on the other cancels, and no two coordinates of a LiDAR correlate. `base` is an odd
-    prime. Errors of further LiDARs are the same in another order.
+    prime. Further LiDARs have the same errors in another order, of some the one that correlates least.
     """
     half = base // 2
     first, second = (digit.ravel() - half for digit in np.meshgrid(*2 * [np.arange(base)], indexing="ij"))
     coarse = [(digit + half) % base - half for digit in (first, second, first + second, first + 2 * second)]
     fine = [coarse[1], -coarse[0], coarse[3], -coarse[2]]  # the sign is what keeps the pairs from correlating
     shares = np.stack([2.0 * (base * square + place) / base**2 for square, place in zip(coarse, fine, strict=True)], 1)
-    orders = [np.arange(base**2)]
-    orders += [np.random.default_rng(number).permutation(base**2) for number in range(1, len(installers))]
-    return np.stack([shares[order] for order in orders], axis=1) * _half_widths(installers)
+    found = shares
+    for number in range(1, len(installers)):
+        orders = _orders_of_pairs(base**2, np.random.default_rng(number))
+        found = min((np.hstack([found, shares[order]]) for order in orders), key=_largest_correlation)
+    return found.reshape(base**2, len(installers), len(ERRORS)) * _half_widths(installers)
+
+
+def _orders_of_pairs(points: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """Random orders of an odd number of points in which opposites, first and last, second and last but one, stay so."""
+    half = points // 2
+    for _ in range(_TRIES):
+        row = rng.permutation(half)
+        row = np.where(rng.random(half) < 0.5, row, points - 1 - row)
+        yield np.concatenate([row, [half], points - 1 - row[::-1]])
 
 
 def latin_errors(installers: Sequence[Installer], frames: int, each: int, seed: Sequence[int]) -> np.ndarray:

@@ -177,18 +177,18 @@ def deployments_from(
     return found
 
 
-def with_installers(tables: Sequence[TomlTable], deployments: Sequence[Deployment]) -> list[Deployment]:
+def with_installers(of_file: Sequence[TomlTable], deployments: Sequence[Deployment]) -> list[Deployment]:
     """The same, of which those that hang already beside others that are searched have no installation errors.
 
-    Unless their own [[lidar]] says some: an option, which is of all, does not hang them anew.
+    Unless their own [[lidar]] of the scene file says some: an option, which is of all, does not hang them anew.
     """
     held = _held(deployments)
     if all(held):
         return list(deployments)
-    own = ["installer" in table.values.keys() - table.origins.keys() for table in tables]
+    usual = {"installer": replace(STAND["installer"], default=HANGS)}
     return [
-        replace(one, installer=HANGS) if is_held and not said else one
-        for one, is_held, said in zip(deployments, held, own, strict=True)
+        replace(one, installer=table.some(usual)["installer"]) if is_held else one
+        for one, is_held, table in zip(deployments, held, of_file, strict=True)
     ]
 
 

@@ -34,10 +34,8 @@ def run_identity(
     each, by its kind.
     """
     tables = scenario.as_tables()
-    tables["model"] = {
-        "caster": caster,
-        "pose_error": tables["model"]["pose_error"],
-    }  # the number of workers changes nothing
+    del tables["model"]["workers"], tables["model"]["cluster"]  # which change nothing
+    tables["model"]["caster"] = caster
     del tables["plan"]
     for (table, key), path in _input_files(scenario).items():
         tables[table][key] = _CONTENT + file_digest(path)

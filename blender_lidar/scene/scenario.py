@@ -339,7 +339,7 @@ def scenario_of(
                 f"{tables['deployment'].name}: is given beside [[lidar]]; allowed: its keys in each [[lidar]]"
             )
         names, sensors, deployments = zip(*deployments_from(hung, tables["sensor"], road, road_map), strict=True)
-        deployments = with_installers(hung, deployments)
+        deployments = with_installers([one for name, one in of_file.items() if name.split()[0] == "lidar"], deployments)
     else:
         names, sensors = [""], [sensor_from(tables["sensor"])]
         deployments = [deployment_from(tables["deployment"], road, road_map)]

@@ -214,6 +214,15 @@ class Evaluator:
         found = self.under(None)._carried_out(_without_returns, np.arange(len(self.frames)), layouts, None)
         return [of_frame for (of_frame,) in found]
 
+    def by_box(self, layouts: Sequence[Layout]) -> tuple[np.ndarray, np.ndarray]:
+        """What s layouts add to the objective by each box, and whether it is detectable, (s, n) each, as planned.
+
+        Boxes are in the order of their frames.
+        """
+        found = self.under(None)._carried_out(_of_boxes, np.arange(len(self.frames)), layouts, None)
+        objective, detectable = zip(*(of_frame for (of_frame,) in found), strict=True)
+        return np.concatenate(objective, axis=1), np.concatenate(detectable, axis=1)
+
     @property
     def _each(self) -> int:
         """Installation errors of each frame."""
@@ -254,6 +263,11 @@ class Installed:
 def _sums(scored: Scored) -> np.ndarray:
     """Objective and number of detectable vehicles of a frame, (2, s)."""
     return np.stack([scored.objective.sum(axis=1), scored.detectable.sum(axis=1)])  # Eq. 10
+
+
+def _of_boxes(scored: Scored) -> tuple[np.ndarray, np.ndarray]:
+    """Objective and whether it is detectable of each box of a frame, (s, n) each."""
+    return scored.objective, scored.detectable
 
 
 def _without_returns(scored: Scored) -> Scored:

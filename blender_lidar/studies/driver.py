@@ -354,7 +354,7 @@ class _FrameOfCast:
 
     def __init__(self, site: Site, casts: Sequence[tuple[Job, ...]]) -> None:
         self._site, self._casts = site, casts
-        self._number, self._changed = -1, []
+        self._number, self._changed, self._errors = -1, [], None
 
     def score(self, number: int, frame: int) -> list[tuple[np.ndarray, np.ndarray, int, float] | str]:
         """Of each job the objective and the detectable vehicles of its mountings, (m,), the counted vehicles and their
@@ -365,15 +365,15 @@ class _FrameOfCast:
         jobs = self._casts[number]
         if number != self._number:
             self._number, self._changed = number, [self._change(job) for job in jobs]
+            self._errors = self._errors_of(jobs[0])
         known = [one for one in self._changed if not isinstance(one, str)]
         if not known:
             return self._changed
         shared, layouts = len(jobs) > 1, jobs[0].layouts
         site = self._site if shared else known[0][0]
-        frames = split_of(site, jobs[0].split)[0]
-        chosen, errors = frames[frame], self._errors(jobs[0], len(frames))
-        if errors is not None:
-            layouts = [installed_layout(one, error) for one in layouts for error in errors[frame]]
+        chosen = split_of(site, jobs[0].split)[0][frame]
+        if self._errors is not None:
+            layouts = [installed_layout(one, error) for one in layouts for error in self._errors[frame]]
         scorer, parts = FrameScorer(chosen.vehicles, chosen.counted, site.observation), []
         for first in range(0, len(layouts), _MOUNTINGS_AT_A_TIME):
             poses = list(map(poses_of, layouts[first : first + _MOUNTINGS_AT_A_TIME]))
@@ -387,9 +387,10 @@ class _FrameOfCast:
         size = len(scorer), chosen.counted_weight.sum().item()
         return [one if isinstance(one, str) else (*next(sums), *size) for one in self._changed]
 
-    def _errors(self, job: Job, frames: int) -> np.ndarray | None:
+    def _errors_of(self, job: Job) -> np.ndarray | None:
         """Installation errors of each frame, (f, e, l, 4); None where mountings hang as planned."""
         installers, seed = job.variation.installers, self._site.scenario.search.seed
+        frames = len(split_of(self._site, job.split)[0])
         return latin_errors(installers, frames, _ERRORS, [seed, _STREAM]) if installers else None
 
     def _change(self, job: Job) -> tuple[Site, VehicleScores] | str:
