@@ -127,7 +127,7 @@ def test_a_run_that_is_stopped_after_any_batch_goes_on_to_the_same(tmp_path, fin
     assert stops >= 6  # after the screening's batches, a rung and those of the climbs
     assert result_of(folder.path) == result_of(finished[1])
     assert history_of(folder.path) == history_of(finished[1])
-    assert len(folder.read_history()) == result["evaluations"]
+    assert len(folder.read_columns()["best"]) == result["evaluations"]
 
 
 def test_another_fidelity_is_another_run(finished, capsys):

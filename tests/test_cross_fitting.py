@@ -46,7 +46,7 @@ def test_every_block_judges_what_was_chosen_without_it(tmp_path, capsys, monkeyp
     assert result["holdout"]["blocks"] < FEW_BLOCKS
     crossed, base = result["cross_fitted"]["optimised"], result["cross_fitted"]["baseline"]
     site = prepare(load_scenario(scene))
-    heights = np.unique(RunFolder(tmp_path / "r").read_history()[:, 3])
+    heights = np.unique(RunFolder(tmp_path / "r").read_columns()["height_m"])
     plan, labels = site.plan, np.unique(site.plan.search_block)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
         layouts = [(site.scenario.mounting({"height_m": height, "tilt_x_deg": 15.0}),) for height in heights]

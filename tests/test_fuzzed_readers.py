@@ -194,7 +194,7 @@ def test_damaged_clouds(tmp_path, name):
 def test_damaged_runs(tmp_path, stored_runs, name):
     shutil.copytree(stored_runs / "searched", tmp_path / "run")
     folder = RunFolder(tmp_path / "run")
-    readers = {"history.csv": folder.read_history, "score_map.csv": folder.read_score_map}
+    readers = {"history.csv": folder.read_columns, "score_map.csv": folder.read_score_map}
     readers["vehicles.csv"] = lambda: RunFolder(folder.path).optimised
     read = readers.get(name, lambda: write_report(RunFolder(folder.path)))
     assert fuzz(lambda _: read(), folder.file(name), folder.file(name).read_bytes())

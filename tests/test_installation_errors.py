@@ -57,10 +57,11 @@ def test_orthogonal_errors_are_evenly_spread_and_come_with_their_opposites(base,
         assert all(tuple(-np.array(row) + 0.0) in rows for row in rows)
 
 
-@pytest.mark.parametrize("errors", [orthogonal_errors([WIDE, WIDE], 11), latin_errors([WIDE, WIDE], 30, 4, [1, 2])])
-def test_errors_of_several_lidars_are_not_alike(errors):
-    both = errors.reshape(-1, 2 * len(ERRORS))
-    assert np.abs(np.corrcoef(both.T) - np.eye(8)).max() < 0.5
+@pytest.mark.parametrize(("base", "lidars", "most"), [(3, 2, 0.7), (5, 2, 0.35), (5, 3, 0.45), (11, 3, 0.25)])
+def test_errors_of_several_lidars_hardly_correlate_and_come_with_their_opposites(base, lidars, most):
+    errors = orthogonal_errors([WIDE] * lidars, base).reshape(base**2, -1)
+    assert np.abs(np.corrcoef(errors.T) - np.eye(4 * lidars)).max() <= most
+    np.testing.assert_allclose(errors, -errors[::-1], atol=1e-12)
 
 
 @pytest.mark.parametrize(("frames", "each"), [(30, 1), (6, 4), (7, 8), (1, 1), (2, 1)])
