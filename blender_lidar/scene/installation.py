@@ -47,7 +47,7 @@ def orthogonal_errors(installers: Sequence[Installer], base: int) -> np.ndarray:
     each of base x base squares (Owen 1992, Tang 1993). With an error the opposite one is there, so that what falls on
     one side of a plan as it rises on the other cancels, and no two coordinates of a LiDAR correlate. `base` is an odd
     prime. Further LiDARs have the same errors in another order, of some the one that correlates least: at 25 errors no
-    two coordinates of two LiDARs by more than 0.35, of three by more than 0.45.
+    two coordinates of two or three LiDARs by more than 0.45.
     """
     return _orthogonal_shares(len(installers), base) * _half_widths(installers)
 
