@@ -16,11 +16,13 @@ from blender_lidar.report.summary import answer, errors_text, judged_hung, plann
 from blender_lidar.run.as_hung import JUDGED_BASE
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import evaluate_site, optimise_site
+from blender_lidar.run.vehicle_table import BoxShares
 from blender_lidar.scene.deployment import HANGS, Installer
 from blender_lidar.scene.installation import installed_layout, orthogonal_errors, single_errors
 from blender_lidar.scene.scenario import load_scenario, scenario_of
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
+from blender_lidar.statistics import share_gain_interval_90, share_interval_90
 from tests.refusals import refused
 from tests.small_scene import (
     CASTER,
@@ -202,6 +204,26 @@ def test_terminal_page_sheet_and_panel_tell_the_same_share_as_hung(runs, tmp_pat
     assert "Assumed: The LiDAR hangs within" in " ".join(out.split())
 
 
+@pytest.mark.parametrize("missed", [0, 6])
+def test_a_share_near_a_hundred_percent_has_as_wide_an_interval_with_a_few_installations_that_miss(missed):
+    vehicle, hits = np.arange(340), np.ones(340)
+    hits[:missed] = 24.0 / 25.0  # by one installation of 25
+    low, high = share_interval_90(hits, vehicle, vehicle // 20, 1)
+    assert 0.985 < low < 0.992
+    assert high == 1.0
+    low, high = share_gain_interval_90(np.ones(340), hits, vehicle, vehicle // 20, 1)
+    assert -0.015 < low < -0.008
+    assert 0.008 < high < 0.015
+
+
+def test_what_nine_of_ten_reach_needs_as_many_vehicles_as_an_interval():
+    for vehicles, is_known in ((6, False), (12, True)):
+        table = {"vehicle_id": np.arange(vehicles), "detectable": np.arange(vehicles) % 2 == 0}
+        boxes = BoxShares(table, table, np.arange(vehicles) % 6, np.zeros(vehicles, dtype=int), 1)
+        assert (boxes.low_share(np.stack([table["detectable"]] * 3), 0.1) is not None) == is_known
+        assert (boxes.shares()["after_interval_90"] is not None) == is_known
+
+
 # --- Forms in pairs: poles, several LiDARs, several fidelities, few blocks, more coordinates --------------------------
 
 
@@ -325,6 +347,8 @@ def test_an_option_replaces_the_installer_of_every_lidar_but_those_that_hang(tmp
     assert scenario_of(tables, folder=tmp_path).installers == (HANGS, Installer())
     tables["lidar"][0]["installer"] = {"tilt_deg": 1.0}
     assert scenario_of(tables, folder=tmp_path).installers == (Installer(tilt_deg=1.0), Installer())
+    both = scenario_of(tables, folder=tmp_path, overrides=option).installers
+    assert both == (Installer(tilt_deg=1.0), Installer(tilt_deg=2.0))
 
 
 @pytest.mark.parametrize(

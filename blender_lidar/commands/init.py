@@ -267,6 +267,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
         *_side_lines(layout.road),
         "height_m = [2.0, 4.5]  # what your pole allows",
         "tilt_x_deg = [0.0, 25.0]  # down to where the mast faces, the road",
+        "# installer = { tilt_deg = 0.5, height_m = 0.05, yaw_deg = 2.0 }  # how nearly as planned it will hang",
         "",
         "# What gains are measured against.",
         "[baseline]",

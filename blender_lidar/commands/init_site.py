@@ -116,6 +116,7 @@ def _text(site: SiteLayout, picture: str, traffic: list[str], path_of: Callable[
             f'poles = "{POLES}"',
             f"height_m = [{_HEIGHTS_M[0]}, {_HEIGHTS_M[1]}]  # what your poles allow",
             "tilt_x_deg = [0.0, 25.0]  # down to where the mast faces",
+            "# installer = { tilt_deg = 0.5, height_m = 0.05, yaw_deg = 2.0 }  # how nearly as planned it will hang",
             "",
             "# What gains are measured against: the pole nearest to the middle.",
             "[baseline]",
