@@ -300,7 +300,7 @@ def test_a_lidar_with_few_poles_to_choose_from_keeps_one_of_them(folder, tmp_pat
 
 
 def test_a_search_of_poles_alone_tells_of_each_that_was_tried(folder, tmp_path):
-    fixed = {"poles": "poles.csv", "height_m": 3.5, "tilt_x_deg": 15.0}
+    fixed = {"poles": "poles.csv", "height_m": 3.5, "tilt_x_deg": 15.0, "installer": False}
     site, run = site_of(folder, fixed, fixed), RunFolder(tmp_path / "run")
     with run.begun():
         result = optimise_site(site, run, Nobody())

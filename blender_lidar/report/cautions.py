@@ -126,7 +126,8 @@ def lorries_text(result: Mapping) -> str:
         return ""
     after, before = map(_share_with_count, (worst, whole))
     if len(approaches) > 1:  # chosen on the frames that it is told on, and so without an interval
-        after = f"{_share_with_count({**worst, 'interval_90': None})}, the fewest of {len(approaches)} approaches,"
+        share = DETECTABLE.number(worst["detectable_share"], -1)
+        after = f"{share} %, the fewest of {len(approaches)} approaches,"
     instead = "as recorded" if after == before else f"instead of {before}"
     in_place = other.get("in_place")
     of = f" (from {result['lidars'][0]['name']})" if result.get("layout") and not in_place else ""
