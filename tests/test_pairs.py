@@ -274,7 +274,7 @@ def measured(result: Mapping) -> dict[str, float]:
 def test_a_data_set_and_a_detector_have_the_vehicles_and_the_judgement_of_their_scene(ran, tmp_path, capsys):
     """One mounting of a data set: its scans that validate are the held-out frames, seen from there."""
     folder = tmp_path / "set"
-    planned = (*PERFECT, *(() if ran.settings.objective.tolerance is None else ("--tolerance", "none")))
+    planned = PERFECT
     made = verb(capsys, "dataset", ran.scene, *planned, "--mountings", 1, "--as-recorded", "--out", folder)
     judging = [row for row in table(folder / "scans.csv") if row["split"] == "val"]
     poles = {(pole.x_m, pole.y_m): pole.name for pole in ran.settings.deployment.poles}
