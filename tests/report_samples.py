@@ -12,10 +12,18 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.report.page import report_html
+from blender_lidar.run.as_hung import AS_PLANNED
 from blender_lidar.run.folder import RunFolder
 from tests.small_scene import HEADER, MAPPED, traffic_rows, without_charts, write_scene, write_table
 
 VOID = {"meta", "img"}
+
+
+def hangs(scores: dict, **changes: object) -> dict:
+    """Scores of a mounting with some changed, and the same as hung, as of a LiDAR that hangs already."""
+    scores, names = scores | changes, {planned: hung for hung, planned in AS_PLANNED.items()}
+    same = {names.get(key, key): value for key, value in scores.items()}
+    return scores | {"as_hung": {key: same.get(key, value) for key, value in scores["as_hung"].items()}}
 
 
 class Page(HTMLParser):

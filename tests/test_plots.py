@@ -205,7 +205,7 @@ def test_charts_of_scores_say_the_metric_and_its_unit_and_have_room_for_it(name,
     boxes = [axes.yaxis.label.get_window_extent() for axes in by_distance.axes]
     assert not any(box.overlaps(other) for number, box in enumerate(boxes) for other in boxes[number + 1 :])
     assert max(box.y1 for box in boxes) <= by_distance.bbox.y1
-    assert f"at the end {metric.amount(history()[-1, -1])})" in words(convergence)
+    assert f"at the end {metric.amount(history()['best'][-1])})" in words(convergence)
     assert convergence.axes[0].get_ylabel() == metric.in_unit("Objective per vehicle")
     assert metric.in_unit("Objective per vehicle") in {axes.get_ylabel() for axes in landscape.axes}
 
@@ -220,7 +220,7 @@ def test_a_share_is_drawn_in_per_cent_and_weighed(tmp_path, figures):
     by_distance, convergence, landscape = figures
     assert by_distance.axes[1].get_ylabel() == "Mean PE-VGOP\n[bits]"
     assert convergence.axes[0].get_ylabel() == "Objective per vehicle [%]"
-    assert convergence.axes[0].lines[1].get_ydata()[-1] == pytest.approx(100.0 * rows[-1, -1] / 300.0)
+    assert convergence.axes[0].lines[1].get_ydata()[-1] == pytest.approx(100.0 * rows["best"][-1] / 300.0)
     values = landscape.axes[0].collections[0].get_array()
     assert values.max() == pytest.approx(100.0 * score_map().per_vehicle.max())
 

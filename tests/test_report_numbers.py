@@ -11,7 +11,7 @@ from blender_lidar.report.cautions import cautions, optimum_text
 from blender_lidar.report.summary import answer, decimals_of, key_figures
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.traffic.vehicles import counted
-from tests.report_samples import Page, change, page_of, result_of
+from tests.report_samples import Page, change, hangs, page_of, result_of
 
 
 @pytest.fixture
@@ -120,7 +120,8 @@ def test_the_answer_gives_mounting_shares_gains_and_intervals_of_the_held_out_fr
     held |= {"detectable_share": 0.876, "detectable_share_interval_90": [0.83, 0.93]}
     held |= {"detectable_share_gain": 0.226, "detectable_share_gain_interval_90": [0.19, 0.28]}
     base |= {"detectable_share": 0.65, "detectable_share_interval_90": [0.591, 0.709], "objective_per_vehicle": 0.5}
-    held["objective_per_vehicle"] = 0.66
+    result["holdout"] = hangs(held, objective_per_vehicle=0.66)
+    result["baseline"]["holdout"] = hangs(base)
     said, place = answer(result), result["deployment"]
     assert said == (
         f"Hang the RS-16 {place['height_m']:.2f} m above the road, tilted {place['tilt_x_deg']:.1f}° down towards "
@@ -151,7 +152,7 @@ def test_the_answer_hides_no_doubt(stored_runs):
     held |= {"detectable_share_gain_interval_90": [0.1, 0.3]}
 
     def said(**changes):
-        return answer(result | {"holdout": held | changes})
+        return answer(result | {"holdout": hangs(held, **changes)})
 
     lost = {"objective_per_vehicle": base["holdout"]["objective_per_vehicle"] - 0.25}
     assert said().startswith("Hang the RS-16 ")
@@ -169,7 +170,9 @@ def test_the_answer_hides_no_doubt(stored_runs):
     assert said(interval_90=None).startswith("Too few blocks of time are held out for an interval; ")
     few = {"detectable_share_interval_90": None, "distinct_vehicles": 9}
     assert said(**few).endswith("; shares have no interval, as there are fewer than 10 different vehicles.")
-    assert answer(result | {"objective": base["objective"]}).startswith("No mounting that was tried is better")
+    assert answer(result | {"objective_as_hung": base["objective_as_hung"]}).startswith(
+        "No mounting that was tried is better"
+    )
     whole = answer(result_of(RunFolder(stored_runs / "whole")))
     assert whole.startswith("Traffic left out in turn does not confirm the search: there ")
     alone = answer(result_of(RunFolder(stored_runs / "whole")) | {"cross_fitted": None})
@@ -189,8 +192,8 @@ def test_a_sensor_of_ones_own_is_named_as_a_name(stored_runs):
 @pytest.mark.parametrize(("share", "said"), [(0.0, "No vehicle is"), (1.0, "Every vehicle is"), (0.5, "")])
 def test_a_threshold_that_tells_no_mountings_apart_is_named(stored_runs, share, said):
     result, shares = result_of(RunFolder(stored_runs / "searched")), {"detectable_share": share}
-    base = result["baseline"] | {"holdout": result["baseline"]["holdout"] | shares}
-    found = " ".join(cautions(result | {"holdout": result["holdout"] | shares, "baseline": base}))
+    base = result["baseline"] | {"holdout": hangs(result["baseline"]["holdout"], **shares)}
+    found = " ".join(cautions(result | {"holdout": hangs(result["holdout"], **shares), "baseline": base}))
     assert ("[objective] threshold is 0.005; try a " in found) == bool(said)
     assert said in found
 

@@ -183,15 +183,16 @@ def judge_as_hung(boxes: BoxShares, before: HungScores, after: HungScores) -> tu
     }
 
 
-_AS_PLANNED = {
+AS_PLANNED = {
     "interval_90": "detectable_share_interval_90",
     "gain": "detectable_share_gain",
     "gain_interval_90": "detectable_share_gain_interval_90",
     "objective_gain": "gain_over_baseline",
     "objective_gain_interval_90": "interval_90",
 }
+"""The names that figures as planned have in result.json, by those of figures as hung."""
 
 
 def as_planned(figures: Mapping[str, object]) -> dict[str, object]:
     """Figures as hung by the names that those as planned have in result.json."""
-    return {_AS_PLANNED.get(key, key): value for key, value in figures.items()}
+    return {AS_PLANNED.get(key, key): value for key, value in figures.items()}
