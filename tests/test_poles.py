@@ -14,7 +14,7 @@ import pytest
 from blender_lidar.commands.report import describe_site
 from blender_lidar.errors import InputError
 from blender_lidar.run.verdict import rank_places
-from blender_lidar.scene.deployment import Place, Pole, SearchSpace
+from blender_lidar.scene.deployment import HANGS, Place, Pole, SearchSpace
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
 from blender_lidar.scene.places import read_poles
 from blender_lidar.scene.scenario import load_scenario
@@ -252,7 +252,8 @@ def ranked(places, x_m, metric="pe-vgop", recording=(0,) * 8):
     scoring = Scoring(1e-6, "mean", None, "corrected", metric)
     held = {"holdout": np.arange(4, 12), "holdout_block": np.arange(8), "holdout_recording": np.array(recording)}
     plan = SimpleNamespace(**held)
-    site = SimpleNamespace(plan=plan, scoring=scoring, scenario=SimpleNamespace(search=SimpleNamespace(seed=1)))
+    scenario = SimpleNamespace(search=SimpleNamespace(seed=1), installers=(HANGS,), aim="mean")
+    site = SimpleNamespace(plan=plan, scoring=scoring, scenario=scenario)
     plans = [(mounting({"height_m": 3.0, "tilt_x_deg": 17.0, "y_m": y}),) for y in places]
     spaces = [SearchSpace((Place({}, {}, pole=Pole(f"{y:g}", 0.0, y)),)) for y in places]
     with Evaluator(frames[:4], seen, scoring, held_out=frames[4:]) as evaluator:
