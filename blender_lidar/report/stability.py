@@ -134,7 +134,7 @@ def draw_changes(path: str | Path, result: Mapping) -> bool:
 
 # --- the report -------------------------------------------------------------------------------------------------------
 
-HEADINGS = dict(zip(SECTIONS, ("Traffic", "Mounting tolerance", "Metric", "Sensor", "Search"), strict=True))
+HEADINGS = dict(zip(SECTIONS, ("Traffic", "Installation errors", "Metric", "Sensor", "Search"), strict=True))
 _COLUMNS = ("verdict", "change", "found")
 _MOST_NAMED = 4
 _JUDGED = {

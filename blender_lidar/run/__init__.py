@@ -1,1 +1,1 @@
-"""One optimisation or evaluation: search, held-out verdict, score map, tolerance, folder of results."""
+"""One optimisation or evaluation: search, held-out verdict, score map, figures as hung, folder of results."""

@@ -25,7 +25,7 @@ class Listener(Protocol):
     """Called as a run goes on; every method may do nothing."""
 
     def searching(self, search: Search | MultiFidelitySearch) -> None:
-        """After each batch of evaluations, and once before the first; where there is a tolerance, of both searches."""
+        """After each batch of evaluations, and once before the first, of each search of the run in turn."""
 
     def mapping(self, points: int) -> None:
         """After `points` more of the score map's grid points."""
