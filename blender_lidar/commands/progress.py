@@ -49,7 +49,7 @@ class Progress:
 
 
 class RunProgress:
-    """Shows how a run comes along, first the search, then the judging of its best, then the map.
+    """Shows how a run comes along, first the search, then the map, then the judging of the best of both.
 
     It is a `run.replay.Listener` and a context manager.
 
