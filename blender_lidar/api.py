@@ -28,11 +28,9 @@ from .errors import InputError, shown, unknown_name
 from .metrics.catalogue import metric_named
 from .metrics.metric import Metric
 from .optimise import Search
-from .optimise.hardened import Polish
 from .optimise.multi_fidelity import MultiFidelitySearch
 from .plugins import name_in_file
 from .results import Run, Scan, Score, table_of
-from .run.as_hung import is_exact
 from .run.optimise import ended_search, evaluate_site, optimise_site
 from .run.vehicle_table import vehicle_tables
 from .run.verdict import POINTS
@@ -126,7 +124,7 @@ class _Heard:
         self._bar = (
             RunProgress(site.scenario.deployment.spaces[0].variables, self._metric) if progress is True else None
         )
-        self._best, self._hung = -np.inf, not is_exact(site.scenario)  # whose best is polished under other errors
+        self._best = False, -np.inf  # whether of the last stage, and its value
         self.best_x: np.ndarray | None = None
 
     def __enter__(self) -> _Heard:
@@ -138,8 +136,8 @@ class _Heard:
 
     def searching(self, search: Search | MultiFidelitySearch) -> None:
         self._points, known = 0, np.isfinite(search.best_value)
-        if known and (search.best_value > self._best or (self._hung and isinstance(search, Polish))):
-            self.best_x, self._best = search.best_x, search.best_value
+        if known and (search.is_final, search.best_value) > self._best:
+            self.best_x, self._best = search.best_x, (search.is_final, search.best_value)
         elif isinstance(search, MultiFidelitySearch) and search.evaluations:
             self.best_x = search.best_screened_x
         self._call(search.evaluations, search.budget, self._metric.total(search.best_value) if known else "")

@@ -6,7 +6,6 @@ as it is the same code.
 """
 
 import json
-import math
 import os
 import pickle
 import shutil
@@ -34,7 +33,7 @@ from ..errors import InputError
 from ..metrics.catalogue import metric_named
 from ..report.summary import as_hung_word, errors_text, judged, judged_hung, measured, percent, short_planned_text
 from ..run.folder import RESULT
-from ..run.verdict import POINTS
+from ..run.searches import most_evaluations
 from ..scene.mounting import ANGLES, LEANS, PLACE, mounting_from
 from ..scene.scenario import Scenario
 from ..scene.settings import DECLARED
@@ -104,12 +103,10 @@ class Optimisation:
     """
 
     def __init__(self, scenario: Scenario, scenery: Scenery, bodies: OwnBodies | None = None) -> None:
-        use = scenario.search
         self.done, self.total, self.best, self.result, self.problem = 0, 0, None, None, ""
         self._recent: deque[tuple[float, int]] = deque()  # when how many were done
         for space in () if scenario.further_lidars else scenario.deployment.spaces:  # how long a layout takes shows
-            self.total += use.seeds * use.particles * use.iterations
-            self.total += math.prod(POINTS) if all(axis in space.variables for axis in space.axes) else 0
+            self.total += most_evaluations(scenario, space)
         self._root = Path(tempfile.mkdtemp(prefix="blender_lidar-", dir=bpy.app.tempdir or None))
         self._read = 0  # bytes of what it has printed
         self.folder = self._root / "run"

@@ -36,8 +36,8 @@ _HIGHEST_M, _FARTHEST_M = 30.0, 60.0
 _TILTS = 26  # of a grid over the searched tilts: whole degrees over the paper's range
 _AS_GOOD = "~"
 _HOW_TO_READ = (
-    "Each cell: the detectable share of the boxes that judge, as hung, with its 90 % interval, and the best tilt, "
-    "which the searched frames have chosen. "
+    "Each cell: the detectable share of the boxes that judge, with its 90 % interval, and the best tilt, which the "
+    "searched frames have chosen. "
     f"{_AS_GOOD} marks no clear difference from the cell that is best on the searched frames: the 90 % interval of the "
     "difference holds 0 or lies above; with little traffic it may hide a real one."
 )
@@ -145,13 +145,9 @@ def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> t
             plans.append((tried[int(np.argmax(objective))], float(tilts[int(np.argmax(objective))])))
             worth.append(objective.max())
             shown.advance(1)
-        split = "holdout" if evaluator.held_out.weight.sum() else "search"
-        judging = {split: evaluator.held_out if split == "holdout" else evaluator}
-        layouts = [layout for layout, _ in plans]
-        tables, scores = (
-            vehicle_tables(layouts, **judging),
-            hung_scores(scenario, judging[split], layouts, singles=False),
-        )
+        (split, judging), layouts = evaluator.judging, [layout for layout, _ in plans]
+        tables = vehicle_tables(layouts, **{split: judging})
+        scores = hung_scores(scenario, judging, layouts, singles=False)
     top, seed = int(np.argmax(worth)), scenario.search.seed if split == "holdout" else None
     cells = []
     for (setback, height), (_, tilt), table, own in zip(places, plans, tables, scores, strict=True):

@@ -80,7 +80,7 @@ class MultiFidelitySearch:
 
     def __init__(self, screen: Search, rungs: Sequence[Rung], block: Sequence[int], *, seed: int) -> None:
         self._screen, self.rungs, self._block = screen, tuple(rungs), np.asarray(block)
-        self.label, self.variables = screen.label, screen.variables
+        self.label, self.variables, self.is_final = screen.label, screen.variables, screen.is_final
         self._lower, self._upper, self._periodic = screen.lower, screen.upper, screen.periodic
         self._seed = seed
         self._level, self._work = 0, "screen"  # the rung that is at work, and at what

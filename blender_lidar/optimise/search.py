@@ -174,6 +174,7 @@ class Search(ABC):
 
     name: ClassVar[str]
     label = "search"  # what a run calls it where it has several
+    is_final = False  # whether it has the last word in a run: its values are then of another objective than the others
     variables: tuple[str, ...] = ()  # and its variables
 
     def __init__(

@@ -88,10 +88,10 @@ def next_metre_text(result: Mapping) -> str:
     points, around = measured(DETECTABLE, *ends, sign="+")
     text = f"at {mount['height_m']:.2f} m and {_tilt_text(result, mount)} the detectable share would change by "
     text += minus(f"{points} percentage points") + in_brackets(around)
-    if "gain_over_baseline" in beyond:
-        gain, around = measured(metric, beyond["gain_over_baseline"], beyond["interval_90"], "+")
-        text += f" and the objective by {minus(f'{gain} {metric.shown_unit}')}{metric.per_vehicle}{in_brackets(around)}"
-    return text
+    gain, around = measured(metric, beyond["gain_over_baseline"], beyond["interval_90"], "+")
+    return (
+        f"{text} and the objective by {minus(f'{gain} {metric.shown_unit}')}{metric.per_vehicle}{in_brackets(around)}"
+    )
 
 
 def other_traffic_texts(result: Mapping) -> list[str]:

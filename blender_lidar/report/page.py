@@ -90,7 +90,7 @@ def computing_table(result: Mapping) -> Markup:
 CHARTS = {
     "score_map.png": (
         "Objective over mounting height and tilt",
-        "Brighter is better as hung, under installation errors; the star is the best found, the square the baseline. "
+        "Brighter is better; the star is the best found, the square the baseline. "
         "Where a wide area is nearly as bright as the star, exact values matter little.",
     ),
     "convergence.png": (
@@ -303,7 +303,8 @@ def _scores(run: RunFolder):
         words["as hung"] = (
             f"expected over installation errors of {errors_text(result)}, each uniform and independent of the others; "
             "the interval is over blocks of time. Nine of ten installations, of traffic of this kind, reach the share "
-            "that is given. Poles are ranked as hung; all other tables show the mounting exactly as planned."
+            "that is given. Poles, the map, other traffic and a metre more are told as hung too; all other tables and "
+            "charts show the mounting exactly as planned."
         )
     if result["holdout"]:
         words |= {

@@ -15,7 +15,7 @@ from ..metrics.catalogue import DETECTABLE, PE_VGOP, metric_named
 from ..metrics.metric import Metric
 from ..run.as_hung import as_planned
 from ..run.vehicle_table import APPROACH
-from ..scene.deployment import Installer
+from ..scene.deployment import Installer, installers_text
 from ..scene.mounting import ANGLES
 from ..sensors.model import model_names
 from ..statistics import FEW_BLOCKS, FEW_VEHICLES
@@ -180,9 +180,7 @@ def judged_hung(result: Mapping) -> tuple[Mapping, Mapping, str]:
 
 def errors_text(result: Mapping) -> str:
     """Within what installation errors figures are expected, in a few words; "" where all hangs already."""
-    return " or ".join(
-        dict.fromkeys(Installer(**one["installer"]).text for one in result["lidars"] if one["installer"])
-    )
+    return installers_text(Installer(**one["installer"]) for one in result["lidars"] if one["installer"])
 
 
 def as_hung_word(result: Mapping) -> str:

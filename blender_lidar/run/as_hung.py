@@ -1,7 +1,7 @@
 """What a mounting is worth as hung: the expectation over installation errors, and what nine of ten installations reach.
 
 A search sees the expectation as a sample average approximation (Kleywegt, Shapiro and Homem-de-Mello 2002): every frame
-under an installation error of its own, the same for all mountings. The best few are judged under more errors, and what
+under an installation error of its own, the same for all mountings. The best few are compared under more, and what
 a run tells of its answer stands on errors that chose nothing.
 """
 
@@ -21,25 +21,23 @@ from ..scoring.evaluation import Evaluator
 from .vehicle_table import BoxShares
 
 SEARCHED_ERRORS = 24  # installation errors of a search, at least, however few frames it has
-JUDGED_EACH = 8  # of each frame, under which the best few are judged
+FINAL_EACH = 8  # of each frame, under which the best few are compared and the best is polished
 LOW_BASE = 7  # its square is how many errors, of all frames each, a quantile is searched over
 JUDGED_BASE = 5  # its square is how many errors the figures stand on, of all frames each
 FEW_BASE = 3  # the same of what is told besides, of other traffic
 LOW_SHARE = 0.1  # the share of installations that may fall below what "low" aims at
 DEGREE, HEIGHT_M = 1.0, 0.1  # errors that are told each alone
-_SEARCH, _JUDGE = 1, 2  # streams of random numbers
+_SEARCH, _FINAL = 1, 2  # streams of random numbers
 
 # --- The objective as hung, on the searched frames --------------------------------------------------------------------
 
 
-def is_exact(scenario: Scenario) -> bool:
-    """Whether no installation error shakes any LiDAR."""
-    return all(one.is_exact for one in scenario.installers)
-
-
 def searching(site: Site, evaluator: Evaluator) -> Evaluator:
-    """What a search scores mountings with: each frame under its own error, the fewer frames the more errors each."""
-    if is_exact(site.scenario):
+    """What a search scores mountings with: each frame under its own error, the fewer frames the more errors each.
+
+    Their mean, whatever the scene's `aim`, which the last stage alone has: see `HungObjective`.
+    """
+    if site.scenario.is_exact:
         return evaluator
     each = math.ceil(SEARCHED_ERRORS / max(len(site.search), 1))
     return evaluator.under(_latin(site, each, _SEARCH))
@@ -48,7 +46,7 @@ def searching(site: Site, evaluator: Evaluator) -> Evaluator:
 class HungObjective:
     """The objective as hung on the searched frames: the mean over errors, or what nine of ten installations reach.
 
-    Every frame has `JUDGED_EACH` errors of its own, other ones than the search has. On scenes/i80.toml and an
+    Every frame has `FINAL_EACH` errors of its own, other ones than the search has. On scenes/i80.toml and an
     intersection (RESCO's cologne1, 16 good mountings each) differences between mountings err by 0.0021 and 0.0035 bits
     per vehicle (root mean square); 25 errors, each of all frames, by 0.0011 and 0.0042 at three times the cost. A
     quantile needs each error on all frames: it is that of `LOW_BASE` squared.
@@ -57,8 +55,8 @@ class HungObjective:
     def __init__(self, site: Site, evaluator: Evaluator) -> None:
         self._scenario, self._evaluator = site.scenario, evaluator
         self._mean = evaluator
-        if not is_exact(site.scenario):
-            self._mean = evaluator.under(_latin(site, JUDGED_EACH, _JUDGE))
+        if not site.scenario.is_exact:
+            self._mean = evaluator.under(_latin(site, FINAL_EACH, _FINAL))
 
     def __call__(self, layouts: Sequence[Layout]) -> np.ndarray:
         """Of each layout, (s,), in the metric's unit."""
@@ -113,7 +111,7 @@ class HungScores:
 
 def installations(scenario: Scenario, plan: Layout, base: int = JUDGED_BASE) -> list[Layout]:
     """Equally likely installations of a plan, `base` squared of them: it alone where nothing shakes it."""
-    if is_exact(scenario):
+    if scenario.is_exact:
         return [plan]
     return [installed_layout(plan, error) for error in orthogonal_errors(scenario.installers, base)]
 

@@ -40,9 +40,8 @@ def judge_layout(
         ``price`` so far, scores, and the ``gain`` of the step. ``over_single``: the same of the whole layout over the
         first step. ``price``: of sensors and poles, None where one has none.
     """
-    held_out = bool(evaluator.held_out.weight.sum())
-    split, judging = ("holdout", evaluator.held_out) if held_out else ("search", evaluator)
-    seed = site.scenario.search.seed if held_out or not searched else None
+    split, judging = evaluator.judging
+    seed = site.scenario.search.seed if split == "holdout" or not searched else None
     names = [lidar.name for lidar in site.scenario.lidars]
     alone = [tuple(one if k == number else None for k, one in enumerate(layout)) for number in range(len(layout))]
     without = [tuple(None if k == number else one for k, one in enumerate(layout)) for number in range(len(layout))]

@@ -30,9 +30,9 @@ from .searches import SearchOutcome, search_layout, search_place
 from .vehicle_table import add_shares, vehicle_tables
 from .verdict import (
     BASELINE_NAME,
+    figures_as_hung,
     judge,
     judge_cross_fitted,
-    judge_hung,
     map_verdict,
     rank_places,
 )
@@ -168,8 +168,7 @@ def _conclude(
     folder.write_vehicles(tables["optimised"], tables[BASELINE_NAME])
     verdict, crossed = judge(site, layouts, evaluator, seed), None
     boxes = add_shares(site, verdict, tables, None if searches else seed)
-    split = "holdout" if verdict["optimised"]["holdout"] is not None else "search"
-    hung = judge_hung(site, evaluator, {**layouts, **of_maps}, boxes, split)
+    hung, gains = figures_as_hung(site, evaluator, layouts, of_maps, boxes)
     for name, scores in verdict.items():
         (scores["holdout"] or scores)["as_hung"] = hung[name]
     if without_block is not None:
@@ -184,8 +183,8 @@ def _conclude(
     for name, scores in verdict.items():
         scores["objective_as_hung"] = objective[name]
         scores["objective_per_vehicle_as_searched"] = as_searched[name]
-    gains = {name: one["objective_gain"] for name, one in hung.items() if name != BASELINE_NAME}
-    lidars = _lidar_rows(site, evaluator, found, objective, as_searched, gains if split == "holdout" else None)
+    held_out = verdict["optimised"]["holdout"] is not None
+    lidars = _lidar_rows(site, evaluator, found, objective, as_searched, gains if held_out else None)
     rungs = [rung_costs(search) for search in searches if isinstance(search, MultiFidelitySearch)]
     result = {
         "schema": RUN_SCHEMA,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import fields, replace
@@ -21,12 +22,13 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.fidelity import make_rungs
 from ..statistics import FEW_BLOCKS, FEWEST_BLOCKS, best_intervals_90, best_without_block, block_sums, of_blocks
-from .as_hung import HungObjective, is_exact, searching
+from .as_hung import HungObjective, searching
 from .layout_search import LayoutObjective, LayoutSearch, coordinates_of, layout_history, on_same_masts
 from .replay import Listener, Replay
 from .verdict import (
     AXES,
     BASELINE_NAME,
+    POINTS,
     ScoreMap,
     map_scores,
     with_coordinates,
@@ -34,7 +36,7 @@ from .verdict import (
 
 _EQUAL = 1e-9  # of the objective: values nearer to one another differ by rounding
 _POLISH = 60  # evaluations for each coordinate
-_CANDIDATES, _CANDIDATES_AUTO = 10, 4  # that are judged under more installation errors
+_CANDIDATES, _CANDIDATES_AUTO = 10, 4  # that are compared under more installation errors
 _POLISH_HUNG = 12  # evaluations for each coordinate, under these
 _APART = 0.04  # of the box, in one coordinate at least: nearer ones are polished into one another
 AUTO = "auto"  # the [search] fidelity of a search over several fidelities
@@ -111,10 +113,9 @@ def search_place(
         without_block = [tried[row] for row in best_without_block(sums)]
     histories = [(joined_history([search.history for search in searches]), space.variables)]
     x = np.concatenate([search.history[:, 3:-2] for search in searches])
-    if not is_exact(scenario):
+    if not scenario.is_exact:
         values = np.concatenate([search.history[:, -2] for search in searches])
-        hung = _judge_best(site, space, (x, values), score_map, label)
-        _carry_out_hung(site, space, evaluator, hung, replay, listener)
+        hung = _final_search(site, space, evaluator, (x, values), score_map, label, replay, listener)
         searches, answer = [*searches, hung], hung.best_x
         histories.insert(0, (hung.history, space.variables))
     if spreads:
@@ -126,33 +127,61 @@ def search_place(
     )
 
 
-def _judge_best(
-    site: Site, space: SearchSpace, tried: tuple[np.ndarray, np.ndarray], score_map: ScoreMap | None, label: str
+def _final_search(
+    site: Site,
+    space: SearchSpace,
+    evaluator: Evaluator,
+    tried: tuple[np.ndarray, np.ndarray],
+    score_map: ScoreMap | None,
+    label: str,
+    replay: Replay,
+    listener: Listener,
 ) -> Polish:
-    """What judges the best few mountings that lie far apart under more installation errors, and polishes the best.
+    """The last stage: the best few mountings that lie far apart, under more installation errors, and the best polished.
 
-    They are the best that were `tried`, x (n, d) and their objective (n,), and of the map. After a search over several
-    fidelities, which is there to be fast, they are fewer and nothing is polished.
+    They are the best that were `tried`, x (n, d) and their objective (n,), and of the map.
     """
-    auto, d = site.scenario.search.fidelity == AUTO, len(space.variables)
     x, values = tried
     if score_map is not None:
         on_grid = _grid_points(space, score_map, x[int(np.argmax(values))])
         x = np.concatenate([x, on_grid])
         values = np.concatenate([values, score_map.block_objective.sum(axis=-1).ravel()])
-    starts = far_apart_best(x, values, space, _CANDIDATES_AUTO if auto else _CANDIDATES)
-    judge = Polish(
+    most, polish = _final_budget(site.scenario, space)
+    starts = far_apart_best(x, values, space, most)
+    final = Polish(
         space.lower,
         space.upper,
         start=starts,
         seed=site.scenario.search.seed,
-        evaluations=len(starts) + (0 if auto else _POLISH_HUNG * d),
+        evaluations=len(starts) + polish,
         step=_APART / 2.0,
         periodic=space.periodic,
     )
-    judge.label = ", ".join(filter(None, [label, "under more installation errors"]))
-    judge.variables = space.variables
-    return judge
+    final.label, final.is_final = ", ".join(filter(None, [label, "under more installation errors"])), True
+    final.variables, objective = space.variables, HungObjective(site, evaluator)
+    replay.carry_out(final, lambda x: objective([space.layout(row) for row in x]), listener)
+    return final
+
+
+def _final_budget(scenario: Scenario, space: SearchSpace) -> tuple[int, int]:
+    """How many mountings the last stage compares at most, and evaluations with which it polishes the best.
+
+    After a search over several fidelities, which is there to be fast, they are fewer and nothing is polished.
+    """
+    if scenario.search.fidelity == AUTO:
+        return _CANDIDATES_AUTO, 0
+    return _CANDIDATES, _POLISH_HUNG * len(space.variables)
+
+
+def most_evaluations(scenario: Scenario, space: SearchSpace) -> int:
+    """How many mountings a search of one place scores at most, its map and its last stage among them; not a polish."""
+    use = scenario.search
+    on_map = math.prod(POINTS) if all(axis in space.variables for axis in space.axes) else 0
+    return (
+        use.seeds * use.particles * use.iterations
+        + on_map
+        + (0 if scenario.is_exact else sum(_final_budget(scenario, space)))
+    )
 
 
 def far_apart_best(x: np.ndarray, values: np.ndarray, space: SearchSpace, most: int) -> np.ndarray:
@@ -173,13 +202,6 @@ def _grid_points(space: SearchSpace, score_map: ScoreMap, x: Sequence[float]) ->
     axes = score_map.axes
     pairs = ((h, t) for h in score_map.height_m.tolist() for t in score_map.tilt_deg.tolist())
     return np.array([with_coordinates(space, x, **dict(zip(axes, pair, strict=True))) for pair in pairs])
-
-
-def _carry_out_hung(
-    site: Site, space: SearchSpace, evaluator: Evaluator, search: Polish, replay: Replay, listener: Listener
-) -> None:
-    objective = HungObjective(site, evaluator)
-    replay.carry_out(search, lambda x: objective([space.layout(row) for row in x]), listener)
 
 
 def search_layout(site: Site, evaluator: Evaluator, replay: Replay, listener: Listener) -> SearchOutcome:
@@ -207,10 +229,9 @@ def search_layout(site: Site, evaluator: Evaluator, replay: Replay, listener: Li
         without_block = [tried[row] for row in best_without_block(sums)]
     alike = [row for row, one in enumerate(tried) if on_same_masts(one, tuple(found.layout), joint)]
     x = coordinates_of(joint, [tried[row] for row in alike]) if free and alike else None
-    if free and not is_exact(scenario):
+    if free and not scenario.is_exact:
         known = (np.array([found.point(*free)]), np.array([found.value])) if x is None else (x, sums[alike].sum(axis=1))
-        hung = _judge_best(site, joint, known, None, "")
-        _carry_out_hung(site, joint, evaluator, hung, replay, listener)
+        hung = _final_search(site, joint, evaluator, known, None, "", replay, listener)
         found.layout = list(joint.layout(hung.best_x))
         searches.append(hung)
         histories.insert(0, (hung.history, joint.variables))

@@ -124,8 +124,11 @@ def judge(site: Site, layouts: Mapping[str, Layout], evaluator: Evaluator, seed:
         totals = scorer.totals(list(layouts.values()))
         return {name: judged_row(totals, row, block, recording) for row, name in enumerate(layouts)}
 
-    searched, held_out = _on_both_splits(site, evaluator, planned)
-    vehicles, block = evaluator.held_out.vehicles, site.plan.holdout_block
+    plan, held_out = site.plan, {}
+    searched = planned(evaluator, plan.search_block, plan.search_recording)
+    if evaluator.held_out.weight.sum():
+        held_out = planned(evaluator.held_out, plan.holdout_block, plan.holdout_recording)
+    vehicles, block = evaluator.held_out.vehicles, plan.holdout_block
     blocks = int((block_sums(evaluator.held_out.weight, block) > 0).sum())  # an empty one tells nothing
     size = {"vehicles": int(vehicles.sum()), "frames": len(vehicles), "blocks": blocks}
     verdict = {}
@@ -250,34 +253,34 @@ def _hung_cross_fitted(
     return {BASELINE_NAME: base, "optimised": found}
 
 
-def judge_hung(
-    site: Site, evaluator: Evaluator, layouts: Mapping[str, Layout], boxes: BoxShares, split: str
-) -> dict[str, dict]:
-    """Figures of mountings as hung, on the frames of a split: see `judge_as_hung`; under their own names."""
-    judging = evaluator.held_out if split == "holdout" else evaluator
+def figures_as_hung(
+    site: Site,
+    evaluator: Evaluator,
+    layouts: Mapping[str, Layout],
+    of_maps: Mapping[str, Layout],
+    boxes: BoxShares,
+) -> tuple[dict[str, dict], dict[str, float]]:
+    """Figures as hung on the frames that judge, and gains in the objective over the baseline, each by name.
+
+    Figures are those of `judge_as_hung`, of the baseline and the answer; gains are of the answer and of the maps' best.
+    """
+    _, judging = evaluator.judging
     before, found = _hung(site, judging, layouts)
-    figures = {name: judge_as_hung(boxes, before, one) for name, one in found.items()}
-    base, _ = figures["optimised"]
-    return {BASELINE_NAME: base, **{name: own for name, (_, own) in figures.items()}}
+    base, figures = judge_as_hung(boxes, before, found["optimised"])
+    gains = {"optimised": figures["objective_gain"]}
+    base_of_box = before.objective.mean(axis=0)
+    best = hung_scores(site.scenario, judging, list(of_maps.values()), singles=False) if of_maps else []
+    for name, one in zip(of_maps, best, strict=True):
+        gains[name] = boxes.objective_gain(base_of_box, one.objective.mean(axis=0))["gain"]
+    return {BASELINE_NAME: base, "optimised": figures}, gains
 
 
 def _hung(site: Site, judging: Evaluator, layouts: Mapping[str, Layout]) -> tuple[HungScores, dict[str, HungScores]]:
     """Scores as hung of the baseline, and of the others by name."""
-    scenario = site.scenario
+    scenario, shaken = site.scenario, not site.scenario.baseline_hangs
     others = {name: plan for name, plan in layouts.items() if name != BASELINE_NAME}
-    (before,) = hung_scores(scenario, judging, [layouts[BASELINE_NAME]], shaken=not scenario.baseline_hangs)
+    (before,) = hung_scores(scenario, judging, [layouts[BASELINE_NAME]], shaken=shaken, singles=False)
     return before, dict(zip(others, hung_scores(scenario, judging, list(others.values())), strict=True))
-
-
-def _on_both_splits(site: Site, evaluator: Evaluator, judged: Callable[..., dict]) -> list[dict]:
-    """What becomes of the searched and of the held-out frames, by name; nothing where no vehicle was held out.
-
-    `judged` takes what scores the frames, their blocks of time and their recordings.
-    """
-    plan = site.plan
-    searched = evaluator, plan.search_block, plan.search_recording
-    held_out = evaluator.held_out, plan.holdout_block, plan.holdout_recording
-    return [judged(scorer, *blocks) if scorer.weight.sum() else {} for scorer, *blocks in (searched, held_out)]
 
 
 # --- Candidate places, all on the same frames ------------------------------------------------------------------------

@@ -412,9 +412,8 @@ def tilts_beside(
 def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, layout: Layout) -> dict | None:
     """What a metre more than allowed would gain: None unless the best height lies on its upper bound.
 
-    It is about the one LiDAR of the space that is searched.
-
-    Of a few tilts about the planned one, the best on the searched frames is judged, all as hung.
+    It is about the one LiDAR of the space that is searched. Of a few tilts about the planned one, the best on the
+    searched frames is judged, all as hung.
 
     Returns
     -------
@@ -435,9 +434,8 @@ def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, layout: Lay
     ]
     raised = [(*layout[:number], one, *layout[number + 1 :]) for one in higher]
     best = int(np.argmax(searching(site, evaluator).totals(raised).objective.sum(axis=1)))
-    split, judging, seed = "search", evaluator, None
-    if evaluator.held_out.weight.sum():
-        split, judging, seed = "holdout", evaluator.held_out, site.scenario.search.seed
+    split, judging = evaluator.judging
+    seed = site.scenario.search.seed if split == "holdout" else None
     both = [layout, raised[best]]
     boxes = BoxShares.of_split(*vehicle_tables(both, **{split: judging}), split, site.plan, seed)
     _, found = judge_as_hung(boxes, *hung_scores(site.scenario, judging, both))

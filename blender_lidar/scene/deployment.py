@@ -18,7 +18,7 @@ from ..toml_table import Setting, setting, settings_of
 from .mounting import ANGLES, LEANS, Layout, Mounting, mounting_from
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from ..road.road_map import RoadMap
 
@@ -141,6 +141,11 @@ class Installer(MountingErrors):
 
 HANGS = Installer(tilt_deg=0.0, height_m=0.0, yaw_deg=0.0)
 """Of a LiDAR that hangs already: `installer = false`."""
+
+
+def installers_text(installers: Iterable[Installer]) -> str:
+    """Half-widths of installation errors in a few words, each once; "" where all hang already."""
+    return " or ".join(dict.fromkeys(one.text for one in installers if not one.is_exact))
 
 
 @dataclass(frozen=True, slots=True)

@@ -130,6 +130,16 @@ class Scenario:
         return tuple(lidar.deployment.installer for lidar in self.lidars)
 
     @property
+    def is_exact(self) -> bool:
+        """Whether no installation error shakes any LiDAR."""
+        return all(one.is_exact for one in self.installers)
+
+    @property
+    def studied_installers(self) -> tuple[Installer, ...]:
+        """Whose errors a study shakes mountings by: the scene's, or the usual ones where all hang already."""
+        return tuple(Installer() for _ in self.lidars) if self.is_exact else self.installers
+
+    @property
     def aim(self) -> str:
         """What of the objective over installation errors is maximised: see `Installer`."""
         return next((one.aim for one in self.installers if not one.is_exact), Installer().aim)

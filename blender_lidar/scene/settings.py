@@ -476,7 +476,7 @@ class ModelSettings:
     cluster : str or None
         Address of a dask scheduler whose workers are used in place of processes: tcp://host:8786.
     pose_error : MountingErrors or None
-        For detect and dataset: a LiDAR hangs elsewhere than its detector believes, by one draw within these
+        For detect, dataset and --detector: a LiDAR hangs elsewhere than its detector believes, by one draw within these
         half-widths, such as tilt_deg=1,height_m=0.05; none: it knows.
     """
 

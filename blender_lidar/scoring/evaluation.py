@@ -178,6 +178,12 @@ class Evaluator:
         other.frames, other._held_out, other._first, other._errors = self._held_out, (), len(self.frames), None
         return other
 
+    @property
+    def judging(self) -> tuple[str, Evaluator]:
+        """Which frames judge, "holdout", or "search" where no vehicle counts in these, and what scores them."""
+        held_out = self.held_out
+        return ("holdout", held_out) if held_out.weight.sum() else ("search", self)
+
     def under(self, errors: np.ndarray | None) -> Evaluator:
         """Scores the same frames in the same processes, each frame under installation errors of its own.
 

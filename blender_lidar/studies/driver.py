@@ -391,7 +391,8 @@ class _FrameOfCast:
         """Installation errors of each frame, (f, e, l, 4); None where mountings hang as planned."""
         installers, seed = job.variation.installers, self._site.scenario.search.seed
         frames = len(split_of(self._site, job.split)[0])
-        return latin_errors(installers, frames, _ERRORS, [seed, _STREAM]) if installers else None
+        # What judges has errors of its own, or those that chose would judge.
+        return latin_errors(installers, frames, _ERRORS, [seed, _STREAM, job.split == HELD_OUT]) if installers else None
 
     def _change(self, job: Job) -> tuple[Site, VehicleScores] | str:
         try:

@@ -16,7 +16,7 @@ import numpy as np
 from ..metrics.catalogue import DETECTABLE
 from ..metrics.metric import Metric
 from ..run.as_hung import LOW_SHARE
-from ..scene.deployment import Installer, variable_of
+from ..scene.deployment import Installer, installers_text, variable_of
 from ..scene.installation import limit_errors
 from ..scene.mounting import COORDINATE_NAMES
 from ..statistics import FEW_VEHICLES, FEWEST_BLOCKS, best_without_block, block_sums, interval_90, student_t_95
@@ -470,8 +470,7 @@ def installation_findings(
         errors = errors[np.argsort(hung.per_vehicle()[errors])[[int(LOW_SHARE * len(errors))]]]
     draws = [beside(hung, error, FIRST) for error in errors]
     on_average = "on average" if aim == "mean" else "in nine of ten installations at most"
-    texts = dict.fromkeys(one.text for one in installers if not one.is_exact)
-    more = f"; {on_average} within {' or '.join(texts)}"
+    more = f"; {on_average} within {installers_text(installers)}"
     return [*lines, judged_finding((MOUNTING, "all of these together", ""), draws, judges, "as planned", more)]
 
 

@@ -15,10 +15,8 @@ import numpy as np
 
 from ..metrics.catalogue import METRICS, metric_named
 from ..plugins import short_name
-from ..run.as_hung import is_exact
 from ..run.searches import fresh_search
 from ..run.what_if import mixes
-from ..scene.deployment import Installer
 from ..scene.installation import installed_layout, limit_errors, orthogonal_errors
 from ..scene.mounting import Layout
 from ..scene.scenario import Scenario
@@ -143,7 +141,7 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, la
     answers = _answers(folder, whole, effort)
     own = tuple(_layout_of(scene, answer) for answer in answers)
     reference, names = layout or own[0], lidar_names(scene)
-    installers = (Installer(),) * len(names) if is_exact(scene) else scene.installers
+    installers = scene.studied_installers
 
     fine = grid_candidates(scene, reference, effort.heights, effort.fine_tilts)
     splits = tuple(dict.fromkeys((SEARCHED, judging)))

@@ -19,7 +19,7 @@ from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
 from ..run.what_if import mixes, with_traffic
-from ..scene.deployment import Installer
+from ..scene.deployment import installers_text
 from ..scene.site import Site, lattice_of, standing_scenery
 from ..scene.usual import ON_PLANE_M
 from ..scoring.fidelity import Fidelity, coarse_observation
@@ -252,9 +252,8 @@ def _pedestrians(site: Site, own: Variation) -> list[Ablation]:
 
 def _installation(site: Site, own: Variation) -> Ablation:
     """Installation errors, of each frame its own: those of the scene, or the usual ones of what hangs already."""
-    exact = all(one.is_exact for one in site.scenario.installers)
-    installers = tuple(Installer() for _ in site.scenario.lidars) if exact else site.scenario.installers
-    within = " or ".join(dict.fromkeys(one.text for one in installers if not one.is_exact))
+    installers = site.scenario.studied_installers
+    within = installers_text(installers)
     shaken = Variation(ABLATION, "installation errors", within, installers=installers)
     return Ablation("installation errors", within, ((own, shaken),))
 

@@ -33,7 +33,6 @@ from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import optimise_site
 from blender_lidar.scene.mounting import MOUNTED, Layout
 from blender_lidar.scene.scenario import Scenario
-from blender_lidar.scene.settings import DECLARED
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
 from blender_lidar.statistics import block_sums, resampled_weights
@@ -49,7 +48,7 @@ SEARCH = {"particles": 20, "iterations": 40, "seed": 1}
 
 def sharp_deployment() -> dict:
     """[deployment] of an answer that is to hang exactly as planned."""
-    return {"installer": False} if "installer" in DECLARED["deployment"] else {}
+    return {"installer": False}
 
 
 def errors_drawn(number: int, seed: int) -> list[dict[str, float]]:
