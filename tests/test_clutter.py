@@ -132,7 +132,7 @@ def test_walkers_return_as_no_vehicle_where_they_are_at_the_time_of_the_frame(si
     returns = []
     for frame in site.search[:3]:
         cloud = sensor_at(site, site.scenario.baseline).scan(frame.vehicles)
-        standing = site.observation.scenery.at(frame.vehicles.time_s).scenery
+        standing = site.observation.scenery.at(frame.vehicles.time_s).with_walkers
         for row in np.flatnonzero(np.isin(standing.names, ["pedestrian", "cyclist"])):
             corners = standing.corners[standing.owner == row].reshape(-1, 3)
             near = ((cloud.xyz > corners.min(axis=0) - 0.01) & (cloud.xyz < corners.max(axis=0) + 0.01)).all(axis=1)

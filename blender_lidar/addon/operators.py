@@ -15,6 +15,7 @@ from mathutils import Vector
 from ..casting import resolve
 from ..clouds.files import SUSTECHPOINTS_PARTS, write_cloud, write_sustechpoints
 from ..clouds.snapshot import MountedSensor, entropy_of_vehicles, mounted_sensors, vertices_of
+from ..commands.optimise import write_pages
 from ..errors import BlenderLidarError, InputError, one_line
 from ..files import check_unused, make_folder
 from ..names import CLOUD_SUFFIXES
@@ -521,6 +522,7 @@ class BLENDER_LIDAR_OT_export_run(NeedsLidar, FolderHelper, bpy.types.Operator):
         site = prepare(scenario, layout, scenery=objects, recordings=recordings, bodies=bodies)
         with RunFolder(self.directory).locked() as folder:
             result = evaluate_site(site, folder, layout)
+            write_pages(site, folder, lambda note: self.report({"WARNING"}, note))
         self.report({"INFO"}, f"{self.directory}: objective {result['objective']:.1f} {result['metric_unit']}")
         return {"FINISHED"}
 

@@ -31,7 +31,20 @@ from ..commands.background import heard
 from ..compiled import within_blender
 from ..errors import InputError
 from ..metrics.catalogue import metric_named
-from ..report.summary import as_hung_word, errors_text, judged, judged_hung, measured, percent, short_planned_text
+from ..report.summary import (
+    as_hung_word,
+    better_than_baseline,
+    doubt,
+    each_lidar,
+    errors_text,
+    judged,
+    judged_hung,
+    leans,
+    measured,
+    mounting_text,
+    percent,
+    short_planned_text,
+)
 from ..run.folder import RESULT
 from ..run.searches import most_evaluations
 from ..scene.mounting import ANGLES, LEANS, PLACE, mounting_from
@@ -375,11 +388,15 @@ def found_lines(lidar: bpy.types.Object) -> list[str]:
 def result_lines(result: Mapping) -> list[str]:
     """The mounting of a result.json, and what is detectable and gained as hung on held-out traffic, in short lines."""
     (found, base, _), metric, lines = judged_hung(result), metric_named(result["metric"]), []
-    for row in result["lidars"]:
-        place, name = row["deployment"], f"{row['name']}: " if len(result["lidars"]) > 1 else ""
-        lines.append(f"{name}{place['height_m']:.2f} m, tilt {place['tilt_x_deg']:.1f}°")
+    for name, row in each_lidar(result).items():
+        place = mounting_text(row["deployment"], leans=leans(row)).removeprefix("height ")
+        lines.append(f"{name}: {place}" if name else place)
+    if why := doubt(result) if better_than_baseline(result) else "Nothing that was tried is better than the baseline":
+        lines.append(why)
     if judged(result)[0] is result:
-        return [*lines, "Nothing was held out."]
+        return lines
+    if result.get("cross_fitted"):
+        lines.append("Cross-fitted: figures of the procedure.")
     gain, within = measured(metric, found["gain_over_baseline"], found["interval_90"], "+")
     lines.append(f"Detectable {as_hung_word(result)}{percent(found)}, baseline {percent(base)}")
     lines += [short_planned_text(result)] if errors_text(result) else []

@@ -390,35 +390,54 @@ class StandingScenery:
         A name of `casting.CASTERS`.
     walkers : Walkers, optional
         Who moves along the roadsides: `at` says where they are.
+    still : StandingScenery, optional
+        What stands there at all times, whose tree all moments share.
     """
 
-    def __init__(self, scenery: Scenery, caster: str, walkers: Walkers | None = None) -> None:
-        self.scenery, self._caster, self._walkers = scenery, caster, walkers
+    def __init__(
+        self, scenery: Scenery, caster: str, walkers: Walkers | None = None, still: StandingScenery | None = None
+    ) -> None:
+        self._own, self._caster, self._walkers, self._still = scenery, caster, walkers, still
 
     def __getstate__(self) -> dict:
-        return {"scenery": self.scenery, "_caster": self._caster, "_walkers": self._walkers}
+        return {"_own": self._own, "_caster": self._caster, "_walkers": self._walkers, "_still": self._still}
+
+    @property
+    def scenery(self) -> Scenery:
+        """The triangles of what stands at all times, which all moments share."""
+        return self._own if self._still is None else self._still.scenery
+
+    @property
+    def with_walkers(self) -> Scenery:
+        """All triangles of the moment."""
+        return self._own if self._still is None else join([self._still.scenery, self._own])
 
     def at(self, time_s: float) -> StandingScenery:
         """The scenery of a moment [s]: with those who walk, where they are then."""
         if self._walkers is None:
             return self
-        return StandingScenery(self.beside(self._walkers.at(time_s)).scenery, self._caster)
+        return StandingScenery(self._walkers.at(time_s), self._caster, still=self)
 
     def beside(self, more: Scenery) -> StandingScenery:
         """The same with something else that stands there."""
-        return StandingScenery(join([self.scenery, more]), self._caster, self._walkers)
+        return StandingScenery(join([self._own, more]), self._caster, self._walkers, self._still)
+
+    @property
+    def parts(self) -> tuple[StandingScenery, ...]:
+        """What has a tree of its own: those who walk, and what stands at all times."""
+        return (self,) if self._still is None else (*self._still.parts, self)
 
     @cached_property
     def tree(self) -> Caster:
-        """A caster of the triangles; meshes of others may be open."""
+        """A caster of its own triangles; meshes of others may be open."""
         from . import caster_class
 
-        return caster_class(self._caster)(self.scenery.corners, closed=False)
+        return caster_class(self._caster)(self._own.corners, closed=False)
 
-    @cached_property
-    def occluders(self) -> tuple[np.ndarray, BoxTree | None]:
-        """What compiled code needs to test for occlusion: the origin of coordinates (3,) [m], and the tree, if any."""
-        return self.tree.origin, self.tree.ray_tree.boxes if len(self.tree.rows) else None
+    @property
+    def occluders(self) -> list[tuple[np.ndarray, BoxTree]]:
+        """What compiled code needs to test for occlusion: of each tree the origin of coordinates (3,) [m], and it."""
+        return [(part.tree.origin, part.tree.ray_tree.boxes) for part in self.parts if len(part.tree.rows)]
 
     def met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
         """First hits of rays from an `origin` (3,) [m] along unit `directions` (n, 3) within `reach_m` [m].
@@ -436,9 +455,19 @@ class StandingScenery:
         label : ndarray of int32, (k,)
             Number of its label, -1 where it has none.
         """
+        parts = [part._met(origin, directions, reach_m) for part in self.parts]
+        if len(parts) == 1:
+            return parts[0]
+        ray, distance, *rest = map(np.concatenate, zip(*parts, strict=True))
+        order = np.lexsort((distance, ray))
+        first = order[np.diff(ray[order], prepend=-1) > 0]
+        return tuple(column[first] for column in (ray, distance, *rest))
+
+    def _met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
+        """`met` of its own triangles alone."""
         found = self.tree.meet(origin, directions, reach_m)
         cosine = np.abs(dot(self.tree.normals(found.triangle).T, directions[found.ray].T))
-        surface, label = (of[found.triangle] for of in (self.scenery.surface, self.scenery.label))
+        surface, label = (of[found.triangle] for of in (self._own.surface, self._own.label))
         return found.ray, found.distance, surface, cosine, label
 
     def hides(self, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray) -> np.ndarray:
@@ -454,7 +483,7 @@ class StandingScenery:
             How far along each [m].
         """
         hidden = np.zeros(len(distance), dtype=bool)
-        if len(distance):
-            found = self.tree.meet(origins, directions, float(distance.max()))
-            hidden[found.ray] = found.distance < distance[found.ray]
+        for part in self.parts if len(distance) else ():
+            found = part.tree.meet(origins, directions, float(distance.max()))
+            hidden[found.ray] |= found.distance < distance[found.ray]
         return hidden

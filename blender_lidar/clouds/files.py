@@ -18,6 +18,7 @@ from ..errors import BlenderLidarError, InputError, MissingExtraError, OutputErr
 from ..files import make_folder, number, open_file, read_file, read_npz, reading, write_bytes, write_text
 from ..sensors.pose import Pose
 from ..traffic.vehicles import CLASSES, Vehicles
+from ..world.meshes import BUILDING, PERSON, ROAD, STRUCTURE, SURFACES, VEGETATION
 from ..world.scenery import NO_LABEL
 from .scan import NO_CLASS, PointCloud, class_names
 
@@ -34,9 +35,18 @@ def write_npz(path: str | Path, cloud: PointCloud, header: dict, more: Mapping[s
     columns = {name: getattr(cloud, name) for name in ("xyz", "range_m", "ring", "time_s", "vehicle_id", "intensity")}
     columns |= {f"{name}_deg": np.degrees(getattr(cloud, f"{name}_rad")) for name in ("azimuth", "incidence")}
     packed = io.BytesIO()  # as a ZipFile on a full disk would complain again when it is collected
-    columns |= {"class": class_names(cloud.class_index), "header": json.dumps(header), **more}
+    columns |= {"class": class_names(cloud.class_index), "surface": _surface_names(cloud.surface)}
+    columns |= {"header": json.dumps(header), **more}
     np.savez_compressed(packed, **columns)
     write_bytes(path, packed.getvalue())
+
+
+_OWN_MATERIAL = "own"  # of an object of the user's
+
+
+def _surface_names(surface: np.ndarray) -> np.ndarray:
+    """What each point lies on, as text: a name of `SURFACES`, or "own" of a material of the user's."""
+    return np.array([*SURFACES, _OWN_MATERIAL])[np.minimum(surface, len(SURFACES))]
 
 
 def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
@@ -54,6 +64,9 @@ def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
             names, header = held["class"].ravel().tolist(), json.loads(str(held["header"]))
             columns["lidar"] = held.get("lidar", np.zeros(len(names), dtype=np.uint8))
             columns["label"] = held.get("label", np.full(len(names), NO_LABEL, dtype=np.int32))
+            surfaces = held.get("surface", np.full(len(names), SURFACES[ROAD])).ravel().tolist()
+            known = {name: number for number, name in enumerate(SURFACES)}
+            columns["surface"] = np.array([known.get(name, STRUCTURE) for name in surfaces], np.uint8)
             _check_cloud(columns, names, header)
             if TO_SITE in header:
                 matrix = np.array(header[TO_SITE], dtype=float).reshape(4, 4).T
@@ -272,8 +285,10 @@ def _read_pcd(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | No
 # --- LAS and LAZ files of surveyors, by laspy -------------------------------------------------------------
 
 _RESOLUTION_M = 0.0001
-# ASPRS: unclassified, as what has a label of its own; road surface; the first number that users may define.
-_CLASSIFICATION_NONE, _CLASSIFICATION_ROAD, _CLASSIFICATION_VEHICLE = 1, 11, 64
+# ASPRS: unclassified, as what has a label of its own; road surface; the first number that users may define. Vegetation
+# is "high" there, as trees are.
+_CLASSIFICATION_NONE, _CLASSIFICATION_VEHICLE = 1, 64
+_CLASSIFICATIONS = {ROAD: 11, BUILDING: 6, VEGETATION: 5}
 _USER_RECORD = 1
 
 
@@ -305,7 +320,7 @@ def write_las(path: str | Path, cloud: PointCloud, header: dict) -> None:
     las.intensity = np.round(cloud.intensity * 65535).astype(np.uint16)
     las.gps_time = cloud.time_s
     las.return_number = las.number_of_returns = np.ones(len(cloud), dtype=np.uint8)
-    other = np.where(cloud.label >= 0, _CLASSIFICATION_NONE, _CLASSIFICATION_ROAD)
+    other = _by_surface(cloud, _CLASSIFICATIONS, _CLASSIFICATION_NONE, _CLASSIFICATION_NONE)
     las.classification = np.where(cloud.vehicle_id >= 0, _CLASSIFICATION_VEHICLE, other).astype(np.uint8)
     for name, _ in extra:
         las[name] = getattr(cloud, name)
@@ -315,6 +330,13 @@ def write_las(path: str | Path, cloud: PointCloud, header: dict) -> None:
     except laspy.errors.LaspyException as error:
         raise MissingExtraError(f'{path}: {error}: pip install "blender_lidar[formats]"') from None
     write_bytes(path, packed.getvalue())
+
+
+def _by_surface(cloud: PointCloud, known: Mapping[int, int], unknown: int, labelled: int) -> np.ndarray:
+    """The number of a format for what each point lies on, (n,): that of its surface, or of what has its own label."""
+    numbers = np.full(256, unknown)
+    numbers[list(known)] = list(known.values())
+    return np.where(cloud.label >= 0, labelled, numbers[cloud.surface])
 
 
 def _read_las(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | None]:
@@ -330,7 +352,8 @@ def _read_las(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | No
 # SemanticKITTI's numbers of our classes, in the order of `traffic.vehicles.CLASSES`: a van is a car there, and a
 # bicycle with its rider a bicyclist.
 SEMANTIC_CLASSES = np.array([10, 10, 18, 13, 15, 31, 30])
-ROAD, OTHER = 40, 99
+_OTHER, _STRUCTURE = 99, 52
+_SEMANTIC_SURFACES = {ROAD: 40, BUILDING: 50, VEGETATION: 70, PERSON: 30}
 _MOVING = (252, 253, 254, 255, 256, 257, 258, 259)  # what SemanticKITTI calls road users that move
 
 
@@ -349,7 +372,11 @@ def write_kitti(path: str | Path, cloud: PointCloud, header: dict) -> None:
     path, of_vehicle = Path(path), cloud.vehicle_id >= 0
     rows = np.empty((len(cloud), 4), dtype="<f4")
     rows[:, :3], rows[:, 3] = levelled(cloud.xyz, Pose.from_table(header["pose"])), cloud.intensity
-    label = np.where(of_vehicle, SEMANTIC_CLASSES[cloud.class_index], np.where(cloud.label >= 0, OTHER, ROAD))
+    label = np.where(
+        of_vehicle,
+        SEMANTIC_CLASSES[cloud.class_index],
+        _by_surface(cloud, _SEMANTIC_SURFACES, _STRUCTURE, _OTHER),
+    )
     label |= np.where(of_vehicle, cloud.vehicle_id, 0) << 16
     write_bytes(path.with_suffix(".label"), label.astype("<u4").tobytes())
     write_bytes(path, rows.tobytes())

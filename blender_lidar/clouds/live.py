@@ -84,7 +84,8 @@ class LiveFrame:
         moved = self._about is None or (np.abs(pose.position - self._about) > DRAG_M).any()
         if self._scenery is not None and moved:  # may have many triangles; those of vehicles are made again in no time
             self._about = pose.position
-            self._scenery.tree.make_ready(pose.position - DRAG_M, pose.position + DRAG_M)
+            for part in self._scenery.parts:
+                part.tree.make_ready(pose.position - DRAG_M, pose.position + DRAG_M)
         turn = self._scan.turn(pose, also)
         hits, nearest = turn.vehicles, np.full(len(turn.directions), np.inf)  # of what stands still, by each beam
         for beam, distance, *_ in turn.standing:

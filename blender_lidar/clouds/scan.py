@@ -53,6 +53,9 @@ class PointCloud:
         Number of the LiDAR in the order of its layout; 0 where there is one.
     label : ndarray of int32, (n,)
         Number of the label of the user's own object that was met, -1 for anything else, as all have where left out.
+    surface : ndarray of uint8, (n,)
+        What was met, an index into `world.meshes.SURFACES` or, beyond these, a material of the user's own; road where
+        left out.
     """
 
     xyz: np.ndarray
@@ -66,10 +69,12 @@ class PointCloud:
     intensity: np.ndarray
     lidar: np.ndarray
     label: np.ndarray | None = None
+    surface: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        if self.label is None:
-            object.__setattr__(self, "label", np.full(len(self.xyz), NO_LABEL, np.int32))
+        for name, value, kind in (("label", NO_LABEL, np.int32), ("surface", ROAD, np.uint8)):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(len(self.xyz), value, kind))
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -189,6 +194,7 @@ class FrameScan:
             intensity=REFLECTIVITY[surface] * cosine * _fall(distance),
             lidar=np.zeros(len(kept), dtype=np.uint8),
             label=label,
+            surface=surface,
         )
 
 

@@ -92,7 +92,7 @@ class MountedSensor:
             pose=self.mounting.pose,
             range_gate_m=self.scenario.sensor.range_gate_m,
             points=points,
-            scenery=None if self.scenery is None else self.scenery.at(vehicles.time_s).scenery,
+            scenery=None if self.scenery is None else self.scenery.at(vehicles.time_s).with_walkers,
             settings=self.scenario.with_whole_paths(),
             name=self.scenario.lidar_name or "LiDAR",
             detections=detections,

@@ -23,7 +23,7 @@ from ..run.folder import SCENE, RunFolder
 from ..scene.scenario import load_scenario
 from ..scene.site import prepare
 from ..sensors.beams import beam_lattice
-from ..sensors.model import load_model
+from ..sensors.model import load_model, model_names
 from ..studies.commission import FEWEST_CLOUDS, Commissioned, against_plan, commission, result_of
 from .cloud_options import CommissionOptions
 from .options import check_scipy, layout_of_run, new_folder, options_of
@@ -134,7 +134,10 @@ def deployment(found: Commissioned) -> str:
     keys = ["height_m", "tilt_x_deg", "tilt_y_deg", *(["yaw_deg"] if found.fit.yaw else [])]
     lines = "".join(f"{key} = {table[key]:.4f}\n" for key in keys)
     hangs = "installer = false  # it hangs already\n"
-    return f'[sensor]\nname = "{found.model.name}"\n\n[deployment]\n{lines}{hangs}'
+    name, beside = json.dumps(found.model.name), ""
+    if found.model.name not in model_names():  # a file's name may be any, and nothing would find it
+        name, beside = json.dumps(BEAMS), "  # beside this file"
+    return f"[sensor]\nname = {name}{beside}\n\n[deployment]\n{lines}{hangs}"
 
 
 def unit_table(found: Commissioned) -> str:
@@ -157,6 +160,7 @@ def unit_table(found: Commissioned) -> str:
         "range_max_m": model.range_max_m,
         "range_noise_m": model.range_noise_m,
         "range_at_10_percent_m": model.range_at_10_percent_m,
+        "azimuth_deg": model.azimuth_deg and list(model.azimuth_deg),
     }
     head = "".join(f"{key} = {value}\n" for key, value in keys.items() if value is not None)
     return f"{head}\n# ring, elevation [deg], azimuth offset [deg], fire offset [us]\nbeams = [\n{rows}]\n"

@@ -42,14 +42,14 @@ def write_pages(site: Site, run: RunFolder, tell: Callable[[str], object]) -> li
     Returns the names of the charts.
     """
     charts = []
-    for one, (name, result) in zip(site.each, each_lidar(run.result).items(), strict=True):
-        write_text(run.file(of_lidar(INSTALLATION, name)), installation_text(one, result))
     try:
         from ..report.run_figures import draw_charts
 
         charts = draw_charts(site, run)
     except MissingExtraError as error:
         tell(f"no charts: {error}")
+    for one, (name, result) in zip(site.each, each_lidar(run.result).items(), strict=True):
+        write_text(run.file(of_lidar(INSTALLATION, name)), installation_text(one, result, charts))
     write_report(run)
     return charts
 

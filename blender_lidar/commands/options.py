@@ -151,7 +151,9 @@ def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
 
 def add_pose(parser: argparse.ArgumentParser, *, on_poles: bool = True) -> None:
     """The coordinates of one mounting, on a candidate pole or not: the orientation by tilts and yaw, or by its lean."""
-    group = parser.add_argument_group("mounting", "coordinates that are not given are those of the scene's baseline")
+    group = parser.add_argument_group(
+        "mounting", "coordinates that are not given are as a [[lidar]] fixes them, else the baseline's"
+    )
     if on_poles:
         said = "candidate pole of the scene on which the LiDAR hangs"
         group.add_argument("--pole", metavar="NAME", help=said)
@@ -260,15 +262,12 @@ def _mounting_of(scenario: Scenario, given: Mapping[str, object], where: str) ->
         if key not in MOUNTING_OR_LEAN:
             raise unknown_name(key, [*MOUNTING_OR_LEAN, "pole"], "coordinate", where)
     pairs = {key: checked(value, MOUNTING_OR_LEAN[key], f"{where}: {key}") for key, value in pairs.items()}
-    rivals = {rival for key in pairs for rival in MOUNTING_OR_LEAN[key].rivals}
-    places = scenario.deployment.places
-    fixed = places[0].fixed if len(places) == 1 else {}
-    hung = {key: value for key, value in fixed.items() if key in MOUNTING_OR_LEAN and key not in rivals}
+    hung = {}
     if "pole" in given:
         if place := next((key for key in ("x_m", "y_m") if key in pairs), None):
             raise InputError(f"{where}: {place}: is given beside pole; allowed: one of both")
         place = scenario.deployment.at(scenario.deployment.pole_named(str(given["pole"]), f"{where}: pole"))
-        hung |= {key: value for key, value in place.fixed.items() if key in ("x_m", "y_m", "facing_deg")}
+        hung = {key: value for key, value in place.fixed.items() if key in ("x_m", "y_m", "facing_deg")}
     return scenario.mounting(hung | pairs, where)
 
 

@@ -39,7 +39,7 @@ _HOW_TO_READ = (
     "Each cell: the detectable share of the boxes that judge, with its 90 % interval, and the best tilt, which the "
     "searched frames have chosen. "
     f"{_AS_GOOD} marks no clear difference from the cell that is best on the searched frames: the 90 % interval of the "
-    "difference holds 0 or lies above; with little traffic it may hide a real one."
+    "difference, which holds for all cells together, holds 0 or lies above; with little traffic it may hide a real one."
 )
 
 
@@ -149,16 +149,20 @@ def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> t
         tables = vehicle_tables(layouts, **{split: judging})
         scores = hung_scores(scenario, judging, layouts, singles=False)
     top, seed = int(np.argmax(worth)), scenario.search.seed if split == "holdout" else None
+    hung = np.array([one.detectable.mean(axis=0) for one in scores])
+    reach = BoxShares.of_split(tables[top], tables[top], split, site.plan, seed).reach_90(hung, top)
     cells = []
-    for (setback, height), (_, tilt), table, own in zip(places, plans, tables, scores, strict=True):
+    for number, ((setback, height), (_, tilt), table) in enumerate(zip(places, plans, tables, strict=True)):
         boxes = BoxShares.of_split(tables[top], table, split, site.plan, seed)
-        shares = boxes.with_detectable(*(one.detectable.mean(axis=0) for one in (scores[top], own))).shares()
-        ends = shares["gain_interval_90"]
+        shares = boxes.with_detectable(hung[top], hung[number]).shares()
+        gain, ends = shares["gain"], None
+        if reach is not None:  # holds for all cells together
+            ends = [gain - float(reach[number]), gain + float(reach[number])]
         cell = {"setback_m": setback, "height_m": height, axis: tilt, "detectable_share": shares["after"]}
         cell["detectable_share_interval_90"] = shares["after_interval_90"]
         cell |= {key: shares[key] for key in ("boxes", "distinct_vehicles")}
         cell["detectable_share_as_planned"] = float(boxes.after["detectable"].mean())
-        cell |= {"difference_to_best": shares["gain"], "difference_interval_90": ends}
+        cell |= {"difference_to_best": gain, "difference_interval_90": ends}
         cells.append(cell | {"as_good": None if ends is None else bool(ends[1] >= 0.0)})
     on = "held-out" if split == "holdout" else "the searched frames', so without intervals"
     errors = scenario.deployment.installer.text

@@ -142,6 +142,8 @@ class VehicleReturns:
         From where the vehicles were looked at, for metrics that learn from a scene.
     detectable : ndarray of bool, (n,), or None
         Whether enough of each is seen (Eq. 11); None where no threshold is known.
+    cell_growth : float
+        How many times as large cells and voxels are, where beams are thinned.
     """
 
     size_m: np.ndarray
@@ -152,6 +154,7 @@ class VehicleReturns:
     vehicle: np.ndarray | None = None
     view: View | None = None
     detectable: np.ndarray | None = None
+    cell_growth: float = 1.0
 
     def __len__(self) -> int:
         return len(self.size_m)

@@ -18,7 +18,7 @@ import numpy as np
 from ..errors import InputError
 from ..statistics import FEWEST_BLOCKS, block_sums, student_t
 from .cma_es import CovarianceAdaptation
-from .search import Search, check_values, generator, history_of, in_box
+from .search import Search, check_values, generator, history_of, in_box, wrapped
 
 _STEPS = 0.1, 0.05, 0.012  # of the box, with which climbs start: on the first rung, later ones, and at the reference
 _SAMPLES = 6, 7  # to a generation, and more for more variables; at the reference, where each is a round of large calls
@@ -182,7 +182,9 @@ class MultiFidelitySearch:
         unit, block = self._unit(record.x), self._block[list(below.frames)]
         distance = _APART if self._level == 1 else _BARELY_APART
         drops = NONE if not alike else ALL if below.fidelity == reference.fidelity else BUT_PEAKS
-        kept = going_on(unit, record.objective, block, rung.candidates, distance=distance, drops=drops)
+        kept = going_on(
+            unit, record.objective, block, rung.candidates, distance=distance, drops=drops, periodic=self._periodic
+        )
         x, known = record.x[kept], record.objective[kept, : len(below.frames) * alike]
         if known.shape[1] < len(rung.frames):  # with few frames rungs are alike
             new = yield Asked(rung.fidelity, rung.frames[known.shape[1] :], x.copy())
@@ -199,7 +201,8 @@ class MultiFidelitySearch:
         if not rung.climb:
             return
         self._work, unit, block = "climb", self._unit(record.x), block[list(rung.frames)]
-        starts = unit[climb_starts(unit, record.objective, block, likely=self._level > 0)]
+        likely = self._level > 0
+        starts = unit[climb_starts(unit, record.objective, block, likely=likely, periodic=self._periodic)]
         first = math.ceil((_FIRST_SHARE if self._level else 1.0) * len(rung.frames))
         at_reference = self._level == len(self.rungs) - 1
         step = _STEPS[2 if at_reference else min(self._level, 1)]
@@ -293,7 +296,14 @@ _DOUBT = 0.05  # of all that are equal to the best, how often any is called clea
 
 
 def going_on(
-    x: np.ndarray, objective: np.ndarray, block: np.ndarray, most: int, *, distance: float, drops: str
+    x: np.ndarray,
+    objective: np.ndarray,
+    block: np.ndarray,
+    most: int,
+    *,
+    distance: float,
+    drops: str,
+    periodic: np.ndarray | bool = False,
 ) -> np.ndarray:
     """Rows of the candidates that go on to the next rung, the best first.
 
@@ -317,6 +327,8 @@ def going_on(
         `ALL` that are clearly behind the best; those `BUT_PEAKS` on a rung that the next one outdoes by more frames
         alone, while the reference may rank far places otherwise; `NONE` where the next one ranks otherwise itself: its
         error is not that of a sample of blocks.
+    periodic : ndarray of bool, (d,), or bool
+        Which variables are circles.
 
     Returns
     -------
@@ -325,28 +337,36 @@ def going_on(
     totals = objective.sum(axis=1)
     rows = np.argsort(-totals, kind="stable")
     behind = clearly_behind(objective[rows], block, most - 1) & (drops != NONE)
-    high = np.isin(rows, peaks(x, totals))
+    high = np.isin(rows, peaks(x, totals, periodic))
     rows = rows[~behind | (high & (drops == BUT_PEAKS))]
     x, totals = x[rows], totals[rows]
-    taken = peaks(x, totals)[: min(most, max(2, most // 4))].tolist()
-    return rows[sorted(diverse(x, totals, most, distance, taken))]
+    taken = peaks(x, totals, periodic)[: min(most, max(2, most // 4))].tolist()
+    return rows[sorted(diverse(x, totals, most, distance, taken, periodic))]
 
 
-def climb_starts(x: np.ndarray, objective: np.ndarray, block: np.ndarray, *, likely: bool) -> np.ndarray:
+def climb_starts(
+    x: np.ndarray, objective: np.ndarray, block: np.ndarray, *, likely: bool, periodic: np.ndarray | bool = False
+) -> np.ndarray:
     """Rows to climb from: the best, and the best peak far from it; a `likely` one alone is not clearly behind."""
-    rows = peaks(x, objective.sum(axis=1))[:2]
+    rows = peaks(x, objective.sum(axis=1), periodic)[:2]
     return rows[~clearly_behind(objective[rows], block, 1)] if likely else rows
 
 
-def peaks(x: np.ndarray, values: np.ndarray) -> np.ndarray:
+def peaks(x: np.ndarray, values: np.ndarray, periodic: np.ndarray | bool = False) -> np.ndarray:
     """Local maxima: rows of the candidates (s, d), in shares of the box, that are the best within 0.15, best first."""
     order = np.argsort(-values, kind="stable")
-    return np.array(
-        [row for place, row in enumerate(order) if not (_away(x[order[:place]], x[row]) <= _BASIN).any()], dtype=int
-    )
+    better = (_away(x[order[:place]], x[row], periodic) for place, row in enumerate(order))
+    return np.array([row for row, away in zip(order, better, strict=True) if not (away <= _BASIN).any()], dtype=int)
 
 
-def diverse(x: np.ndarray, values: np.ndarray, count: int, distance: float, taken: Sequence[int] = ()) -> list[int]:
+def diverse(
+    x: np.ndarray,
+    values: np.ndarray,
+    count: int,
+    distance: float,
+    taken: Sequence[int] = (),
+    periodic: np.ndarray | bool = False,
+) -> list[int]:
     """Rows of the best candidates that do not crowd each other, beginning with the best.
 
     From the best on, a candidate is taken unless one that is taken lies within the distance of it, which shrinks by
@@ -364,6 +384,8 @@ def diverse(x: np.ndarray, values: np.ndarray, count: int, distance: float, take
         In the variable in which two candidates are farthest apart, as a share of the box.
     taken : sequence of int
         Rows that are taken already.
+    periodic : ndarray of bool, (d,), or bool
+        Which variables are circles.
     """
     order = np.argsort(-values, kind="stable")
     taken = list(taken)
@@ -371,7 +393,7 @@ def diverse(x: np.ndarray, values: np.ndarray, count: int, distance: float, take
         for row in order:
             if len(taken) == count:
                 break
-            if not (_away(x[taken], x[row]) <= distance).any():
+            if not (_away(x[taken], x[row], periodic) <= distance).any():
                 taken.append(int(row))
         distance /= 2.0
     return taken
@@ -400,6 +422,6 @@ def clearly_behind(objective: np.ndarray, block: np.ndarray, compared: int) -> n
     return behind.sum(axis=1) > student_t(1.0 - _DOUBT / max(1, compared), blocks - 1) * error
 
 
-def _away(some: np.ndarray, one: np.ndarray) -> np.ndarray:
+def _away(some: np.ndarray, one: np.ndarray, periodic: np.ndarray | bool) -> np.ndarray:
     """How far candidates (k, d) are from one (d,), in the variable in which that is farthest."""
-    return np.abs(some - one).max(axis=1)
+    return np.abs(wrapped(some - one, periodic)).max(axis=1)

@@ -117,7 +117,7 @@ def plot_blind_zones(
     from matplotlib.lines import Line2D
     from matplotlib.patches import Rectangle
 
-    tables = run.baseline, run.optimised
+    tables = run.judged
     stands = _stands(run)
     window = window_of([footprints(tables[0]), *([one.xy for one in side] for side in stands)], _MARGIN_M)
     side_m = _CELL_M if np.ptp(window, axis=0).max() >= _SMALL_SITE_M else _FINE_CELL_M
@@ -294,7 +294,7 @@ def plot_reach(path: str | Path, run: RunFolder, road: RoadMap, image: Image | N
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    tables, stands = (run.baseline, run.optimised), _stands(run)
+    tables, stands = run.judged, _stands(run)
     window = window_of([footprints(tables[0]), *([one.xy for one in side] for side in stands)], _MARGIN_M)
     found = [
         [(own, xy, reaches(own, xy)) for own, xy in _by_nearest(table, side)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, replace
 from functools import partial
 
@@ -36,10 +36,10 @@ from .summary import (
 _WIDTH = 110
 
 
-def installation_text(site: Site, result: Mapping) -> str:
+def installation_text(site: Site, result: Mapping, charts: Collection[str] = ()) -> str:
     """Instructions for one mounting, as plain text.
 
-    `result` is as `summary.each_lidar` gives it for the LiDAR that the site has alone.
+    `result` is as `summary.each_lidar` gives it for the LiDAR that the site has alone; `charts` lie beside it.
     """
     mount = result["deployment"]
     mounting = site.scenario.mounting(mount)
@@ -84,7 +84,7 @@ def installation_text(site: Site, result: Mapping) -> str:
         "- Look for poles, signs, trees and barriers between the sensor and the lanes that the scene does not have."
         if modelled
         else "- Poles, signs, trees and barriers between the sensor and the lanes are not in the model: look for them.",
-        "- blind_zones.png shows where vehicles stay below the threshold.",
+        *["- blind_zones.png shows where vehicles stay below the threshold."] * ("blind_zones.png" in charts),
         "",
         *_expected(result),
         *_to_know(result),

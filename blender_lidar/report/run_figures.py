@@ -216,7 +216,8 @@ def plot_by_distance(path: str | Path, run: RunFolder) -> None:
     if metric.of_share:  # which is drawn anyway
         metric = PE_VGOP
     column = "entropy_bits" if metric is PE_VGOP else METRIC_VALUE
-    distances = [table["distance_m"] for table in (run.baseline, run.optimised)]
+    tables = run.judged
+    distances = [table["distance_m"] for table in tables]
     edges_m = BAND_M * np.arange(np.concatenate(distances).max(initial=0.0) // BAND_M + 2.0)
     centre_m = edges_m[:-1] + 0.5 * BAND_M
     counts = [np.histogram(distance, edges_m)[0] for distance in distances]
@@ -227,7 +228,7 @@ def plot_by_distance(path: str | Path, run: RunFolder) -> None:
         share, score, count = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.4))
         handles = []
         for table, inside, look, (name, *_) in zip(
-            (run.baseline, run.optimised), counts, (BASELINE_LOOK, OPTIMISED_LOOK), sides(result), strict=True
+            tables, counts, (BASELINE_LOOK, OPTIMISED_LOOK), sides(result), strict=True
         ):
             line = {**look, "label": name.lower(), "clip_on": False, "zorder": 3}
             seen, scored = (

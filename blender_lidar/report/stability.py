@@ -163,11 +163,7 @@ def _head(result: Mapping) -> list[str]:
     metric, mounts = metric_named(result["metric"]), _mounts(result).items()
     leans = bool(result.get("leans"))
     place = "; ".join(of_name(name, place_text(mount, leans=leans)) for name, mount in mounts)
-    origin = f"found by {result['search']}, seed {result['seed']}"
-    if result["answered_frames"] < result["frames"]:
-        origin += f", on {result['answered_frames']} of the frames; --height and --tilt-x give another"
-    if result["mounting_given"]:
-        origin = "as given"
+    origin = "as given" if result["mounting_given"] else f"as optimise answers, seed {result['seed']}"
     asked, varied = "Mounting", "the best height and tilt are searched again"
     if result.get("lidars"):
         asked = "Layout"

@@ -86,13 +86,13 @@ def gate_text(result: Mapping) -> str:
 def run_text(result: Mapping, *, held_out: bool = False) -> str:
     """The line below a chart's title: sensor, range gate, vehicles, and the metric where it is not the default.
 
-    It says so where the chart shows the frames that are `held_out`, too, and there are any.
+    The vehicles are those of the searched frames, or of those `held_out` where there are any.
     """
+    of, kind = (result["holdout"], "held-out frame") if held_out and result["holdout"] else (result, "frame")
     metric = "" if result["metric"] == PE_VGOP.name else f", metric {metric_named(result['metric']).name}"
     return (
         f"{result['sensor']}, {gate_text(result)}, "
-        f"{counted(result['vehicles'], 'vehicle box')} in {counted(result['frames'], 'frame')}{metric}"
-        f"{', and held-out frames' if held_out and result['holdout'] else ''}"
+        f"{counted(of['vehicles'], 'vehicle box')} in {counted(of['frames'], kind)}{metric}"
     )
 
 
@@ -537,12 +537,12 @@ def _what_to_do(result):
     what = "mounting" if len(places) == 1 else "layout"
     if not better_than_baseline(result):
         return f"No {what} that was tried is better than the baseline; the best of them has the {hung}"
-    if doubt := _doubt(result):
-        return f"{doubt}; the best {what} found has the {hung}"
+    if why := doubt(result):
+        return f"{why}; the best {what} found has the {hung}"
     return f"Hang the {hung}"
 
 
-def _doubt(result):
+def doubt(result: Mapping) -> str:
     """Why the traffic that judges does not carry the advice to hang a LiDAR there; "" where it does."""
     found, base, on = judged_hung(result)
     ends, shares, on = found.get("interval_90"), found["detectable_share_gain_interval_90"], f"{on[0].upper()}{on[1:]}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import math
 from collections.abc import Iterable
 
@@ -57,7 +58,9 @@ def _away_from(polygon: np.ndarray, xy: np.ndarray) -> float:
 
 
 def approach_spans(road: RoadMap, name: str, distance_m: float, where: str) -> Spans:
-    """How far an approach reaches back from its stop line, on the roads before it too where these are its only ones.
+    """How far an approach reaches back from its stop line along connected lanes: its shortest paths (Dijkstra 1959).
+
+    It goes on along the road before it where that is its only one, across the lanes of the junction between them.
 
     Raises
     ------
@@ -67,19 +70,59 @@ def approach_spans(road: RoadMap, name: str, distance_m: float, where: str) -> S
     known = approaches_to(road, {junction.name for junction in road.junctions})
     if name not in known:
         raise unknown_name(name, known, "approach", where)
-    before = _roads_before(road)
-    spans, roads, left = {}, {name}, {name: distance_m}
-    while roads:
-        one = roads.pop()
-        rows = [row for row, lane in enumerate(road.lanes) if lane.road == one and lane.use == "vehicles"]
-        lengths = {row: float(road.stations(lane=row)[-1]) for row in rows}
-        spans |= {row: (max(length - left[one], 0.0), length) for row, length in lengths.items()}
-        rest, further = left[one] - max(lengths.values()), before.get(one, set())
-        if rest > 0.0 and len(further) == 1 and not further & set(left):
-            (upstream,) = further
-            roads.add(upstream)
-            left[upstream] = rest
+    roads, before = [name], _roads_before(road)
+    while len(further := before.get(roads[-1], set())) == 1 and not further & set(roads):
+        roads += further
+    rows = {row for row, lane in enumerate(road.lanes) if lane.road in roads and lane.use == "vehicles"}
+    upstream = [row for row in rows if road.lanes[row].road != name]
+    rows |= set(_reached(road, [later for row in upstream for later in road.lanes[row].leads_to])[0])
+    length = {row: float(road.stations(lane=row)[-1]) for row in rows}
+    spans = {}
+    for row, far_m in _to_stop_line(road, name, length).items():
+        if far_m < distance_m:
+            spans[row] = max(length[row] - (distance_m - far_m), 0.0), length[row]
     return spans
+
+
+def _to_stop_line(road: RoadMap, name: str, length: dict[int, float]) -> dict[int, float]:
+    """How far the ends of lanes lie before the stop line of a road [m], by row; none of those that do not lead there.
+
+    `length` are the lanes that count, by row [m]. One of the road itself that leads nowhere, as where two merge, ends
+    beside another one of it.
+    """
+    own = {row for row in length if road.lanes[row].road == name}
+    into: dict[int, list[int]] = {}
+    for row in length:
+        for later in road.lanes[row].leads_to:
+            into.setdefault(later, []).append(row)
+    found = _shortest(
+        {row: 0.0 for row in own if set(road.lanes[row].leads_to) - own} or dict.fromkeys(own, 0.0), into, length
+    )
+    ends_early = {
+        row: _beside(road, row, {one: found[one] for one in own & found.keys()}, length) for row in own - found.keys()
+    }
+    return _shortest(found | ends_early, into, length)
+
+
+def _shortest(start: dict[int, float], into: dict[int, list[int]], length: dict[int, float]) -> dict[int, float]:
+    """Dijkstra's shortest paths against the traffic, from the ends of lanes that are so far away already [m]."""
+    found, queue = {}, [(far, row) for row, far in start.items()]
+    heapq.heapify(queue)
+    while queue:
+        far, row = heapq.heappop(queue)
+        if row not in found:
+            found[row] = far
+            for earlier in into.get(row, ()):
+                heapq.heappush(queue, (far + length[row], earlier))
+    return found
+
+
+def _beside(road: RoadMap, row: int, known: dict[int, float], length: dict[int, float]) -> float:
+    """How far a lane's end lies before the stop line, as on the nearest of the lanes of which that is known [m]."""
+    end = road.points_m[row][-1]
+    away = np.hypot(*(road.nearest(end) - end).T)
+    nearest = min(known, key=lambda other: away[other])
+    return known[nearest] + max(length[nearest] - road.along(nearest, end)[0], 0.0)
 
 
 def _roads_before(road: RoadMap) -> dict[str, set[str]]:
@@ -94,17 +137,23 @@ def _roads_before(road: RoadMap) -> dict[str, set[str]]:
 
 def _exits(road: RoadMap, rows: Iterable[int]) -> list[int]:
     """The first lanes beyond a junction that some lanes lead to, by their rows."""
-    found, seen, todo = [], set(), list(rows)
+    return _reached(road, rows)[1]
+
+
+def _reached(road: RoadMap, rows: Iterable[int]) -> tuple[list[int], list[int]]:
+    """Lanes of junctions that some lanes are or lead to across these, and the first ones beyond, by their rows."""
+    within, beyond, seen, todo = [], [], set(), list(rows)
     while todo:
         row = todo.pop()
         if row in seen:
             continue
         seen.add(row)
         if road.lanes[row].junction:
+            within.append(row)
             todo += road.lanes[row].leads_to
         else:
-            found.append(row)
-    return found
+            beyond.append(row)
+    return within, beyond
 
 
 def exits_of(road: RoadMap, row: int) -> set[str]:
@@ -115,9 +164,12 @@ def exits_of(road: RoadMap, row: int) -> set[str]:
 
 def ends_of(road: RoadMap, name: str) -> tuple[float, float]:
     """Direction of travel where a road begins and where it ends, counter-clockwise from +x [rad]."""
-    row = next(row for row, lane in enumerate(road.lanes) if lane.road == name)
-    steps = np.diff(road.points_m[row], axis=0)
-    return tuple(math.atan2(step[1], step[0]) for step in (steps[0], steps[-1]))
+    own = [row for row, lane in enumerate(road.lanes) if lane.road == name]
+    led_to = {later for row in own for later in road.lanes[row].leads_to}
+    first = next((row for row in own if row not in led_to), own[0])
+    last = next((row for row in own if not set(road.lanes[row].leads_to) & set(own)), own[-1])
+    steps = np.diff(road.points_m[first], axis=0)[0], np.diff(road.points_m[last], axis=0)[-1]
+    return tuple(math.atan2(step[1], step[0]) for step in steps)
 
 
 def movement(turn_rad: float) -> str:

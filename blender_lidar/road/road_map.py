@@ -164,7 +164,7 @@ class Flat:
         """Height above z = 0 at places (..., 2) [m], (...,)."""
         return np.zeros(np.shape(xy)[:-1])
 
-    def triangles(self, s_m: tuple[float, float]) -> np.ndarray:
+    def triangles(self, centre_m: Sequence[float], reach_m: float) -> np.ndarray:
         """None, (0, 3, 3)."""
         return np.zeros((0, 3, 3))
 
@@ -296,7 +296,12 @@ class RoadMap:
         driven = self.driven
         around = np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]) * _BESIDE_M
         places = (np.asarray(xy, dtype=float)[:, None, :2] + around).reshape(-1, 2)
-        return (driven.locate(places).lane >= 0).reshape(-1, 4).all(axis=1)
+        inside = driven.locate(places).lane >= 0
+        crossed = {lane.junction for lane in self.lanes}
+        for junction in self.junctions:
+            if junction.name not in crossed:  # a map without lanes inside junctions
+                inside |= polygon_holds(junction.outline_m, places)
+        return inside.reshape(-1, 4).all(axis=1)
 
     @property
     def driven(self) -> RoadMap:
@@ -335,10 +340,10 @@ class RoadMap:
             crossed = set()  # around a bend the way across may come back
             while lane >= 0 and lane not in crossed:
                 crossed.add(lane)
-                _, t, heading = self._along(lane, place)
+                s, t, heading = self.along(lane, place)
                 turn = heading + math.pi * self.against[lane]
                 left = np.array([-math.sin(turn), math.cos(turn)])
-                edge = place + (self.offset_m[lane] + side * 0.5 * self.width_m[lane] - t) * left
+                edge = place + (self.offset_m[lane] + side * self._half(lane, s) - t) * left
                 place = edge + side * _BESIDE_M * left
                 lane = self.locate(place[None]).lane[0]
             found.append(edge)
@@ -378,7 +383,7 @@ class RoadMap:
         away = np.where(near.outside, near.away - near.half, near.away - _LARGEST_M)[0]
         return int(np.argmin(away)), near
 
-    def _along(self, lane: int, xy: Sequence[float]) -> tuple[float, float, float]:
+    def along(self, lane: int, xy: Sequence[float]) -> tuple[float, float, float]:
         """Station and offset of a place along one lane [m], on it or not, and which way the lane drives there [rad]."""
         _, *found = self._with(np.array([lane])).locate(np.array([xy]))
         return tuple(float(one[0]) for one in found)
@@ -419,10 +424,13 @@ class RoadMap:
         has no part there.
         """
         stations = self.stations(s_m, lane)
-        half = np.full(len(stations), 0.5 * self.width_m[lane])
-        if self.widths_m:
-            half = 0.5 * np.interp(stations, self.stations(lane=lane), self.widths_m[lane])
-        return self.at(stations, self.offset_m[lane], lane), half
+        return self.at(stations, self.offset_m[lane], lane), self._half(lane, stations)
+
+    def _half(self, lane: int, s_m: np.ndarray) -> np.ndarray:
+        """Half the width of a lane at stations (...), (...) [m]."""
+        if not self.widths_m:
+            return np.full(np.shape(s_m), 0.5 * self.width_m[lane])
+        return 0.5 * np.interp(s_m, self.stations(lane=lane), self.widths_m[lane])
 
 
 @lru_cache(maxsize=32)

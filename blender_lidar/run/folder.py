@@ -186,6 +186,13 @@ class RunFolder:
             raise InputError(f"{self.file(VEHICLES_BASELINE)}: lists other vehicles than {VEHICLES}")
         return found
 
+    @property
+    def judged(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """The vehicle tables of the baseline and of the run's mounting, on the frames that judge: see `result`."""
+        split = "holdout" if self.result["holdout"] else "search"
+        rows = self.optimised["split"] == split
+        return tuple({key: column[rows] for key, column in table.items()} for table in (self.baseline, self.optimised))
+
     def finish(self, result: Mapping) -> dict:
         """Write the result, which ends the run, and drop the checkpoint; returns it as it would be read."""
         text = json.dumps(result, indent=2)

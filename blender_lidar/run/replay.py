@@ -36,15 +36,15 @@ class Replay:
 
     Parameters
     ----------
-    folder : RunFolder
-        Where it is stored.
+    folder : RunFolder or None
+        Where it is stored; nowhere without one.
     identity : mapping
         What must be the same for a record to be gone on with.
     resume : bool
         Whether there may be one; else it begins empty.
     """
 
-    def __init__(self, folder: RunFolder, identity: Mapping, *, resume: bool) -> None:
+    def __init__(self, folder: RunFolder | None, identity: Mapping, *, resume: bool) -> None:
         self._folder, self._identity = folder, identity
         self._batches = folder.read_checkpoint(identity) if resume else []
         self._replayed = 0
@@ -73,7 +73,7 @@ class Replay:
             seconds = time.perf_counter() - started
             _tell(search, found, seconds)
             self._batches.append({**_as_stored(asked), "values": found.tolist(), "seconds": seconds})
-            if time.monotonic() - stored_at >= _STORE_EVERY_S or search.done:
+            if self._folder and (time.monotonic() - stored_at >= _STORE_EVERY_S or search.done):
                 self._folder.write_checkpoint(self._identity, self._batches)
                 stored_at = time.monotonic()
             listener.searching(search)

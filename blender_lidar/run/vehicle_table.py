@@ -24,6 +24,7 @@ from ..statistics import (
     FEW_VEHICLES,
     block_sums,
     drawn_blocks,
+    many_to_one_reach_90,
     of_blocks,
     share_gain_interval_90,
     share_interval_90,
@@ -281,6 +282,19 @@ class BoxShares:
         """The same boxes with other `detectable`, (n,) each: shares of installations, 0 to 1."""
         tables = {**self.before, "detectable": before}, {**self.after, "detectable": after}
         return BoxShares(*tables, self.block, self.recording, self._seed)
+
+    def reach_90(self, detectable: np.ndarray, first: int) -> np.ndarray | None:
+        """Half the simultaneous 90 % intervals of k detectable shares less that of a `first`: see
+        `many_to_one_reach_90`.
+
+        `detectable` (k, n) is that of the boxes under k mountings; None where there is no interval.
+        """
+        if self._seed is None or len(np.unique(self.before["vehicle_id"])) < FEW_VEHICLES:
+            return None
+        order = np.r_[first, np.delete(np.arange(len(detectable)), first)]
+        boxes, strata = block_sums(np.ones(len(self.block)), self.block), of_blocks(self.recording, self.block)
+        reach = many_to_one_reach_90(block_sums(detectable[order], self.block), boxes, self._seed, strata)
+        return None if reach is None else reach[np.argsort(order)]
 
     def low_share(self, detectable: np.ndarray, share: float) -> float | None:
         """Quantile of the detectable share over a resampled set of blocks and one of equally likely installations.

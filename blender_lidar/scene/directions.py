@@ -12,6 +12,7 @@ import numpy as np
 from ..road.mapped import MappedRoad
 from ..traffic.vehicles import Placing
 from .mounting import Mounting
+from .scenario import Scenario
 from .site import Site
 
 UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
@@ -54,8 +55,7 @@ def bearing_deg(site: Site, direction: np.ndarray) -> float:
     """Bearing of a direction of the site frame, (2,): clockwise from +y of the map or the recording, 0 to 360."""
     counter_clockwise = math.degrees(math.atan2(direction[1], direction[0]))
     if site.recording.report.format != "ngsim":  # NGSIM's +y is ahead along the road
-        turned = 0.0 if site.scenario.straight is None else site.scenario.traffic.heading_deg or 0.0
-        counter_clockwise += turned - 90.0  # a site frame on a map has the map's axes
+        counter_clockwise += _placing(site.scenario).heading_deg - 90.0
     return round(-counter_clockwise, 9) % 360.0
 
 
@@ -71,6 +71,8 @@ def towards(site: Site, xy: tuple[float, float], direction: np.ndarray) -> str:
     in_between = road.clearance(xy)[0] <= 0.0 or site.scenario.in_median(xy)
     if not in_between and not _ACROSS_DEG < off < 180.0 - _ACROSS_DEG:
         return "towards the road" if off <= _ACROSS_DEG else "away from the road"
+    if not len(road):  # a driven area, whose traffic has no direction
+        return "over the road" if in_between else "along the edge of the road"
     heading = float(road.locate(lanes[[lane]]).heading_rad[0])
     turn = math.degrees(math.remainder(math.atan2(direction[1], direction[0]) - heading, 2.0 * math.pi))
     ways = {0.0: "along the nearest lane, with its traffic", 180.0: "along the nearest lane, against its traffic"}
@@ -81,17 +83,24 @@ def towards(site: Site, xy: tuple[float, float], direction: np.ndarray) -> str:
 def _in_recording(site: Site, xy: tuple[float, float]) -> dict[str, object]:
     """A place of the site frame in the map's own coordinates, else the first recording's [m], and what these are."""
     format, road = site.recording.report.format, site.scenario.road
-    if isinstance(road, MappedRoad):
+    frame = _FRAMES.get(format, "x and y of the recording")
+    if isinstance(road, MappedRoad) and road.path:
         frame = "x and y of the net" if road.net else "x and y of the OpenDRIVE map"
-        x_m, y_m = np.add(xy, road.origin_m)
-        frame = _FRAMES.get(format, "x and y of the recording") if road.driven else frame
-        return {"frame": frame, "x_m": float(x_m), "y_m": float(y_m)}
     if format == "ngsim":
-        y_m, x_m = site.scenario.road.in_ngsim(*xy)
+        y_m, x_m = road.in_ngsim(*xy)
     else:
-        settings = site.scenario.traffic
-        x_m, y_m = Placing(settings.origin_m or (0.0, 0.0), settings.heading_deg or 0.0).in_file(*xy)
-    return {"frame": _FRAMES.get(format, "x and y of the recording"), "x_m": float(x_m), "y_m": float(y_m)}
+        x_m, y_m = _placing(site.scenario).in_file(*xy)
+    return {"frame": frame, "x_m": float(x_m), "y_m": float(y_m)}
+
+
+def _placing(scenario: Scenario) -> Placing:
+    """Where the site frame lies in the map, which has its axes, or without one in the first recording."""
+    road, settings = scenario.road, scenario.traffic
+    if isinstance(road, MappedRoad):
+        if road.path:
+            return Placing(road.origin_m)
+        return Placing(settings.origin_m or road.origin_m, settings.heading_deg or 0.0)
+    return Placing(settings.origin_m or (0.0, 0.0), settings.heading_deg or 0.0)
 
 
 def _between_deg(first: np.ndarray, second: np.ndarray) -> float:

@@ -33,6 +33,8 @@ class Observation:
         Level of detail of the vehicles' shapes.
     cell_m : float
         Side of an occupancy cell [m].
+    cell_growth : float
+        How many times as large cells are as they should be, where beams are thinned; of metrics with their own too.
     reading : str
         How Eq. 8 is read: see `metrics.vgop.occupancy`.
     scenery : StandingScenery or None
@@ -51,6 +53,7 @@ class Observation:
     scenery: StandingScenery | None = None
     bodies: OwnBodies | None = None
     culled: bool = True
+    cell_growth: float = 1.0
 
     @property
     def lidar(self) -> Lidar:

@@ -275,7 +275,7 @@ def nobody_there(recording: Recording, region: Region, frames: int, scenario: Sc
     road, (x, y) = scenario.road_map, recording.centre_m[:, :2].T
     at, (first, last) = road.locate(recording.centre_m), road.stretch(region.centre_xy, region.radius_m)
     beside = (at.s_m >= first) & (at.s_m <= last)
-    if beside.any() and (at.lane[beside] >= 0).mean() < usual.FEW:
+    if scenario.straight and beside.any() and (at.lane[beside] >= 0).mean() < usual.FEW:
         meant = _place_meant(at.t_m[beside], recording, scenario)
     elif asked := {lane for one in scenario.region.stretches or () for lane in one.lanes or ()}:
         there = ", ".join(map(str, np.unique(recording.lane[recording.lane != 0]).tolist()))

@@ -42,6 +42,11 @@ class _Seen:
     def heading_known(self) -> bool:
         return "headings" not in self.warnings and len(self.tracks.ways.seconds) >= usual.FEWEST
 
+    @property
+    def lies_along_x(self) -> bool:
+        """Whether lanes should lie along x, and headings say how vehicles drive: on a map they lie as they do."""
+        return self.heading_known and self.scenario.straight is not None
+
 
 def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
     """The same recording; its report holds what cannot be true and is accepted.
@@ -176,10 +181,8 @@ _CHECKS: dict[str, Callable[[_Seen], str | None]] = {  # as `names.WARNINGS`: ca
     "time-step": lambda seen: time_step(seen.tracks),
     "tracks": lambda seen: jumps(seen.recording, seen.tracks),
     "headings": lambda seen: headings(seen.tracks, seen.scenario),
-    "drift": lambda seen: drift(seen.tracks, seen.placed.region) if seen.heading_known else None,
-    "bend": lambda seen: (
-        bend(seen.tracks, seen.placed.region) if seen.heading_known and seen.scenario.straight else None
-    ),
+    "drift": lambda seen: drift(seen.tracks, seen.placed.region) if seen.lies_along_x else None,
+    "bend": lambda seen: bend(seen.tracks, seen.placed.region) if seen.lies_along_x else None,
     "carriageway": lambda seen: carriageway(seen.recording, seen.scenario, seen.placed, seen.heading_known),
     "overlaps": lambda seen: overlaps(seen.recording),
 }

@@ -18,7 +18,7 @@ from ..road.road_map import RoadMap
 from ..road.straight import StraightRoad
 from ..toml_table import read_toml
 from ..traffic.presets import meta_files
-from .deployment import BASELINE, Deployment, Installer
+from .deployment import BASELINE, MOUNTING_OR_LEAN, Deployment, Installer
 from .lidars import (
     OF_ANY_MODEL,
     HungLidar,
@@ -185,11 +185,28 @@ class Scenario:
         return self.straight is not None and self.straight.side_of(xy) == "median"
 
     def mounting(self, table: Mapping[str, float | None], where: str = "mounting") -> Mounting:
-        """The mounting that some coordinates give [m, degrees], with the baseline's others: see `mounting_from`."""
-        if self.deployment.faces_road and table.get("y_m") is not None and table.get("facing_deg") is None:
-            x_m = self.baseline.xy[0] if table.get("x_m") is None else table["x_m"]
-            table = {**table, "facing_deg": self.deployment.facing_at((x_m, table["y_m"]))}
+        """The mounting that some coordinates give [m, degrees]: see `mounting_from`.
+
+        Others are as the one place of a [[lidar]] fixes them, else the baseline's.
+        """
+        table = self._fixed(table) | table
+        moved = any(table.get(key) is not None for key in ("x_m", "y_m"))
+        if self.deployment.faces_road and moved and table.get("facing_deg") is None:
+            pairs = zip(("x_m", "y_m"), self.baseline.xy, strict=True)
+            xy = [own if table.get(key) is None else table[key] for key, own in pairs]
+            table = {**table, "facing_deg": self.deployment.facing_at(xy)}
         return mounting_from(table, self.road_map, self.baseline, where)
+
+    def _fixed(self, given: Mapping[str, float | None]) -> dict[str, float]:
+        """What the one place of a [[lidar]] fixes, without what would contradict coordinates that are given."""
+        places = self.deployment.places
+        if not self.lidar_name or len(places) > 1:
+            return {}
+        said = [key for key, value in given.items() if value is not None]
+        rivals = {rival for key in said if key in MOUNTING_OR_LEAN for rival in MOUNTING_OR_LEAN[key].rivals}
+        rivals |= {"facing_deg"} if self.deployment.faces_road else set()
+        fixed = places[0].fixed.items()
+        return {key: value for key, value in fixed if key in MOUNTING_OR_LEAN and key not in rivals}
 
     @property
     def files(self) -> dict[tuple[str, str], str]:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from ..names import (
     BARRIERS,
+    BOXES,
     CASTERS,
     CLASSES,
     DEFAULT_CELL_M,
@@ -362,9 +363,13 @@ class SearchSettings:
 
 @dataclass(frozen=True, slots=True)
 class BoxSettings:
-    """An entry of [[world.boxes]]: something that stands still, in the road frame; `name` is a number unless said."""
+    """An entry of [[world.boxes]]: something that stands still, in the road frame; `name` is a number unless said.
+
+    `kind` says what labelled clouds call it.
+    """
 
     name: str | None = setting(None)
+    kind: str = setting("structure", allowed=BOXES)
     centre_m: tuple[float, float, float] = setting(**_REACH)
     size_m: tuple[float, float, float] = setting(above=0.0, high=_FARTHEST_M)
     heading_deg: float = setting(0.0, **HEADING)

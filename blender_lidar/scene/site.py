@@ -24,6 +24,7 @@ from ..traffic.frames import few_vehicles
 from ..traffic.movements import lane_names, ways_by_map, ways_by_track
 from ..traffic.vehicles import CLASSES, unknown_frame
 from ..world.clutter import Walkers, clutter
+from ..world.meshes import SURFACES
 from ..world.needs_blender import blender_room
 from ..world.scenery import Scenery, along_road, barrier, box, boxes_reach, join, road_surface
 from . import usual
@@ -63,11 +64,16 @@ def read_scenery(scenario: Scenario, reach_m: float, given: Sequence[Mounting] =
     centre = scenario.nominal_xy
     paths = [path for path in (world.blend, world.mesh) if path is not None]
     files = [_near(scenario, path, centre, reach_m) for path in paths]
-    boxes = [box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg)) for item in world.boxes]
+    boxes = [
+        box(item.name, item.centre_m, item.size_m, math.radians(item.heading_deg), SURFACES.index(item.kind))
+        for item in world.boxes
+    ]
     road = scenario.road_map
     barriers = [along_road(road, barrier(item.kind, item.y_m, road.stations(item.x_m))) for item in world.barriers]
-    stretch = road.stretch(centre, reach_m)
-    beside = clutter(road, world.clutter, world.clutter_seed, stretch, _may_hang(scenario, given))
+    beside = join([])
+    if world.clutter:
+        stretch = road.stretch(centre, reach_m)
+        beside = clutter(road, world.clutter, world.clutter_seed, stretch, _may_hang(scenario, given))
     if world.ground and not road.surface.is_flat:
         barriers.append(road_surface(road, centre, reach_m))
     return join([*files, *(item.within(centre, reach_m) for item in [*boxes, *barriers, beside])])

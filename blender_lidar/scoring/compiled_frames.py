@@ -63,7 +63,7 @@ class FrameLidar(NamedTuple):
     lattice: BeamLattice
     components: np.ndarray
     reach_m: float
-    scene: tuple[Targets, MeasurementModel, BoxTree, Boxes]
+    scene: tuple[Targets, MeasurementModel, tuple[BoxTree, ...] | None, Boxes]
 
 
 class CompiledScorer:
@@ -99,8 +99,9 @@ class CompiledScorer:
         centre, heading = np.ascontiguousarray(vehicles.centre_m), vehicles.heading_rad
         of_grids = grids.half_m, grids.cell_m, grids.cells, grids.start, grids.words
         boxes = Boxes(centre, np.cos(heading), np.sin(heading), *of_grids)
-        occluder_origin, occluders = (caster.origin, None) if scenery is None else scenery.occluders
-        self._origins = -np.stack([caster.origin, np.zeros(3), occluder_origin])
+        standing = [] if scenery is None else scenery.occluders
+        occluders = tuple(tree for _, tree in standing) or None
+        self._origins = -np.stack([caster.origin, np.zeros(3), *(origin for origin, _ in standing)])
         self._held: tuple[list[Pose | None], tuple[np.ndarray, np.ndarray, bool]] | None = None
         self.lidars = [
             FrameLidar(
@@ -222,11 +223,11 @@ def mark_returns(
         Whether the hits are those of a tree in float32, and doubtful where it may have leaked.
     reach : float
         Hits that are farther away do not count [m].
-    origins : ndarray, (3, 3)
-        The sensor's place as the targets, the boxes and the occluders count it [m].
+    origins : ndarray, (2 + o, 3)
+        The sensor's place as the targets, the boxes and each of the occluders count it [m].
     rotation, components : ndarray, (3, 3) and (3, b)
         The sensor's orientation, and the lattice's beams.
-    targets, measurement, occluders, boxes : Targets, MeasurementModel, BoxTree or None, Boxes
+    targets, measurement, occluders, boxes : Targets, MeasurementModel, o BoxTrees or None, Boxes
     bits : ndarray of uint64
         As for `mark_points`.
     count : ndarray of int64, (n,)
@@ -257,9 +258,10 @@ def mark_returns(
         if imperfect:
             _make_imperfect(found, measurement, targets, beam_of, target, column)
         # Alone in its line, so that Numba compiles `_hide` only where something stands.
-        if occluders is not None:  # noqa: SIM102
-            if not _hide(found, origins[2], occluders, column, lost):
-                return doubtful[:left], False
+        if occluders is not None:
+            for number in range(len(occluders)):
+                if not _hide(found, origins[2 + number], occluders[number], column, lost):
+                    return doubtful[:left], False
         _mark(found, measurement, origins[1], targets.vehicle, boxes, target, column, bits, count)
     return doubtful[:left], True
 

@@ -116,7 +116,8 @@ def coarse_observation(observation: Observation, fidelity: Fidelity) -> Observat
         return beam_lattice(beams.model, beams.rotation_hz, phase_rad=phase_rad, stride=fidelity.stride)
 
     grown = min(observation.cell_m * math.sqrt(fidelity.stride), _LARGEST_CELL_M)
-    return replace(seen.with_lattices(thinned), cell_m=max(observation.cell_m, grown))
+    cell_m = max(observation.cell_m, grown)
+    return replace(seen.with_lattices(thinned), cell_m=cell_m, cell_growth=cell_m / observation.cell_m)
 
 
 def coarsest_stride(observation: Observation) -> int:

@@ -154,6 +154,7 @@ class FrameScorer:
         self.vehicles = self.shapes.counted
         self._measurements = [lidar.measurement(vehicles.draw) for lidar in seen.lidars]
         self.grids = ViewGrids(self.vehicles.size_m, seen.cell_m, seen.reading)
+        self.cell_growth = seen.cell_growth
         self.compiled = None
         ours = self.shapes.own is None  # and no instances
         if numba_works() and seen.caster != EXACT and len(self) and ours and len(self.shapes.tree.rows):

@@ -103,4 +103,5 @@ def _rows(metric, frame, scorer, seen: Seen, layouts, noticed) -> VehicleReturns
         vehicle=owner,
         view=view,
         detectable=noticed.reshape(-1),
+        cell_growth=scorer.cell_growth,
     )

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from ..errors import InputError
+from ..run.vehicle_table import BoxShares, vehicle_tables
 from ..scene.mounting import Layout, Mounting, hung_at
 from ..scene.site import Site
 from ..scoring.evaluation import site_evaluator
@@ -28,7 +29,6 @@ from ..sensors.identify import (
     offsets_misfit,
 )
 from ..sensors.model import LidarModel, load_model, model_names
-from ..statistics import block_sums, of_blocks, statistic_interval_90
 from .road_fit import Estimate, RoadFit, fit_road
 from .road_surface import FEWEST_POINTS
 
@@ -405,29 +405,23 @@ def against_plan(site: Site, layout: Layout, number: int, fit: RoadFit) -> dict:
     others = [*layout]
     others[number] = hangs
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        held_out = len(site.holdout) > 0
-        totals = (evaluator.held_out if held_out else evaluator).totals([layout, tuple(others)])
-    block, recording = (
-        getattr(site.plan, f"{'holdout' if held_out else 'search'}_{name}") for name in ("block", "recording")
-    )
-    seen, weight = block_sums(totals.detectable, block), block_sums(totals.weight, block)
-    strata = of_blocks(recording, block) if len(site.scenario.recordings) > 1 else None
-    interval = statistic_interval_90(
-        lambda drawn: drawn @ (seen[1] - seen[0]) / (drawn @ weight), weight, site.scenario.search.seed, strata
-    )
-    shares = (seen.sum(axis=1) / weight.sum()).tolist()
+        split, judging = evaluator.judging
+        tables_of = vehicle_tables([layout, tuple(others)], **{split: judging})
+    seed = site.scenario.search.seed if split == "holdout" else None
+    boxes = BoxShares.of_split(*tables_of, split, site.plan, seed)
+    shares = boxes.shares()
     return {
         "planned": tables[0],
         "measured": tables[1],
         "differences": differences,
         "falls_deg": {"planned": falls[0], "measured": falls[1]},
         "detectable_share": {
-            "planned": shares[0],
-            "measured": shares[1],
-            "gain": shares[1] - shares[0],
-            "interval_90": interval and list(interval),
-            "held_out": held_out,
-            "blocks": int((weight > 0).sum()),
+            "planned": shares["before"],
+            "measured": shares["after"],
+            "gain": shares["gain"],
+            "interval_90": shares["gain_interval_90"],
+            "held_out": split == "holdout",
+            "blocks": len(np.unique(boxes.block)),
         },
     }
 

@@ -14,8 +14,11 @@ from functools import partial
 import numpy as np
 
 from ..metrics.catalogue import METRICS, metric_named
+from ..optimise import Search
+from ..optimise.multi_fidelity import MultiFidelitySearch
 from ..plugins import short_name
-from ..run.searches import fresh_search
+from ..run.replay import Replay
+from ..run.searches import fresh_search, most_evaluations, search_layout, search_place
 from ..run.what_if import mixes
 from ..scene.installation import installed_layout, limit_errors, orthogonal_errors
 from ..scene.mounting import Layout
@@ -128,7 +131,7 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, la
     folder : StudyFolder
         Locked by the caller.
     layout : Layout, optional
-        The mounting in question, or those of a layout; what the scene's search finds with its own seed if left out.
+        The mounting in question, or those of a layout; what `optimise` answers if left out.
 
     Returns
     -------
@@ -140,7 +143,7 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, la
     few = with_fewer_frames(whole, effort.varied_frames)
     answers = _answers(folder, whole, effort)
     own = tuple(_layout_of(scene, answer) for answer in answers)
-    reference, names = layout or own[0], lidar_names(scene)
+    reference, names = layout or _answer(folder, site), lidar_names(scene)
     installers = scene.studied_installers
 
     fine = grid_candidates(scene, reference, effort.heights, effort.fine_tilts)
@@ -196,6 +199,37 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, la
         **({"leans": True} if fine.leans else {}),
         **({"lidars": names} if any(names) else {}),
     }
+
+
+def _answer(folder: StudyFolder, site: Site) -> Layout:
+    """What `optimise` answers: its search, map and last stage, on all searched frames."""
+    scene, stage = site.scenario, "answer"
+    if not folder.holds(stage):
+        total = sum(most_evaluations(scene, space) for lidar in scene.lidars for space in lidar.deployment.spaces)
+        with folder.counting(total, "mountings of the answer") as shown, site_evaluator(site, site.search) as evaluator:
+            replay, listener = Replay(None, {}, resume=False), _Counted(shown)
+            if scene.further_lidars:
+                found = search_layout(site, evaluator, replay, listener)
+            else:
+                found = search_place(site, scene.deployment.spaces[0], evaluator, replay, listener)
+        folder.store(stage, {"mounting": _told(scene, found.layouts["optimised"])})
+    return _layout_of(scene, folder.stored(stage))
+
+
+class _Counted:
+    """A `run.replay.Listener` that counts mountings."""
+
+    def __init__(self, shown) -> None:
+        self._shown, self._search, self._done = shown, None, 0
+
+    def searching(self, search: Search | MultiFidelitySearch) -> None:
+        if search is not self._search:
+            self._search, self._done = search, 0
+        self._shown.advance(search.evaluations - self._done)
+        self._done = search.evaluations
+
+    def mapping(self, points: int) -> None:
+        self._shown.advance(points)
 
 
 def _answers(folder: StudyFolder, site: Site, effort: StabilityEffort) -> list[dict]:

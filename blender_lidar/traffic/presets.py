@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -68,6 +69,7 @@ PRESETS = {
         y_down=True,
     ),
 }
+_MOST_NAMED = 8
 _HIGHD_WAYS = {"1": 180.0, "2": 0.0}  # drivingDirection: 1 along the upper lanes, to the left
 _READ = {**READ_COLUMNS, "time_ms": Column("milliseconds"), "run": Column("a whole number", whole=True)}
 
@@ -118,8 +120,9 @@ def read_preset(
     if not parts:
         raise InputError(f"{path}: no rows below the header in line {line}")
     table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    if "run" in table:
-        table = {name: column[table["run"] == table["run"][0]] for name, column in table.items()}
+    runs, rows_read = np.unique(table["run"]) if "run" in table else np.zeros(0), len(table["x_m"])
+    if len(runs):
+        table = {name: column[table["run"] == runs[0]] for name, column in table.items()}
     if "time_ms" in table:
         table["time_s"] = table.pop("time_ms") / 1000.0
     if known.has_meta:
@@ -129,7 +132,15 @@ def read_preset(
     if known.y_down:
         table["y_m"] = -table["y_m"]
     table.pop("run", None)
-    return read_table(table, origin_m=origin_m, heading_deg=heading_deg, height_m=height_m, source=str(path))
+    read = read_table(table, origin_m=origin_m, heading_deg=heading_deg, height_m=height_m, source=str(path))
+    if len(runs) < 2:
+        return read
+    named = ", ".join(f"{run:g}" for run in runs[:_MOST_NAMED]) + ", ..." * (len(runs) > _MOST_NAMED)
+    note = (
+        f"{len(runs)} runs found (run-index {named}); the first is used: for another leave its rows alone in a file, "
+        "which [[traffic]] may name beside this one"
+    )
+    return replace(read, report=replace(read.report, rows_read=rows_read, notes=(note, *read.report.notes)))
 
 
 def _join(path: str | Path, preset: str, table: dict[str, np.ndarray]) -> None:

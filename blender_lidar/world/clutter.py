@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..road.road_map import RoadMap
+from .meshes import PERSON, VEGETATION
 from .scenery import Scenery, along_road, barrier, box, join, structure
 
 _CELL_M = 50.0  # along the road: what stands in a cell depends on the seed alone, not on how far one looks
@@ -93,14 +94,14 @@ def _guard_rail(x: float, y: float, rng: np.random.Generator) -> Scenery:
 def _bush(x: float, y: float, rng: np.random.Generator) -> Scenery:
     """Leaves from the ground up."""
     across, high = rng.uniform(0.5, 1.2), rng.uniform(0.6, 1.8)
-    return structure("bush", leaves((x, y, 0.5 * high), (across, across, 0.5 * high), rng))
+    return structure("bush", leaves((x, y, 0.5 * high), (across, across, 0.5 * high), rng), VEGETATION)
 
 
 def _tree(x: float, y: float, rng: np.random.Generator) -> Scenery:
     """A crown of leaves on a trunk."""
     across, bottom, high = rng.uniform(1.2, 2.2), rng.uniform(1.8, 3.0), rng.uniform(2.5, 4.5)
     crown = structure("crown", leaves((x, y, bottom + 0.5 * high), (across, across, 0.5 * high), rng))
-    return _one("tree", box("trunk", (x, y, 0.5 * bottom), (0.25, 0.25, bottom)), crown)
+    return _one("tree", box("trunk", (x, y, 0.5 * bottom), (0.25, 0.25, bottom)), crown, surface=VEGETATION)
 
 
 def leaves(centre: Sequence[float], half: Sequence[float], rng: np.random.Generator) -> np.ndarray:
@@ -135,10 +136,11 @@ def _directions(count: int, rng: np.random.Generator) -> np.ndarray:
     return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
 
 
-def _one(name: str, *parts: Scenery) -> Scenery:
-    """Several parts as one object."""
+def _one(name: str, *parts: Scenery, surface: int | None = None) -> Scenery:
+    """Several parts as one object, all of one surface where it is said."""
     whole = join(parts)
-    return Scenery(whole.corners, np.zeros(len(whole), np.int32), whole.surface, (name,))
+    surfaces = whole.surface if surface is None else np.full(len(whole), surface, np.uint8)
+    return Scenery(whole.corners, np.zeros(len(whole), np.int32), surfaces, (name,))
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,10 +221,11 @@ def _pedestrian(x: float, y: float, heading: float, tall: float) -> Scenery:
     """Legs, trunk and head, as boxes."""
     legs = box("legs", (x, y, 0.24 * tall), (0.25, 0.3, 0.48 * tall), heading)
     trunk = box("trunk", (x, y, 0.66 * tall), (0.28, 0.45, 0.36 * tall), heading)
-    return _one("pedestrian", legs, trunk, box("head", (x, y, 0.93 * tall), (0.2, 0.17, 0.14 * tall), heading))
+    head = box("head", (x, y, 0.93 * tall), (0.2, 0.17, 0.14 * tall), heading)
+    return _one("pedestrian", legs, trunk, head, surface=PERSON)
 
 
 def _cyclist(x: float, y: float, heading: float, tall: float) -> Scenery:
     """A cycle and its rider, as boxes."""
     rider = box("rider", (x, y, 0.72 * tall), (0.5, 0.45, 0.5 * tall), heading)
-    return _one("cyclist", box("cycle", (x, y, 0.5), (1.75, 0.1, 1.0), heading), rider)
+    return _one("cyclist", box("cycle", (x, y, 0.5), (1.75, 0.1, 1.0), heading), rider, surface=PERSON)

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import unknown_name
 from ..names import BARRIERS
 from ..road.road_map import RoadMap
-from .meshes import ROAD, STRUCTURE, tube
+from .meshes import ROAD, STRUCTURE, VEGETATION, tube
 from .shapes import shape
 from .triangles import place
 
@@ -60,7 +60,7 @@ def barrier(kind: str, y_m: float, x_m: Sequence[float]) -> Scenery:
     name = f"{kind} at y {y_m:g} m"
     along = _extruded(_SECTIONS[kind], y_m, x_m)
     if kind != "guard_rail":
-        return structure(name, along)
+        return structure(name, along, VEGETATION if kind == "hedge" else STRUCTURE)
     posts = np.arange(x_m[0], x_m[-1], _POST_SPACING_M)
     standing = [box("post", (x, y_m, _POST_SIZE_M[2] / 2), _POST_SIZE_M).corners for x in posts + 0.5 * _POST_SIZE_M[0]]
     return structure(name, np.concatenate([along, *standing]))
@@ -145,17 +145,23 @@ def boxes_reach(corners: np.ndarray, centre_xy: tuple[float, float], radius_m: f
     return np.hypot(*np.moveaxis(nearest - centre_xy, -1, 0)) <= radius_m
 
 
-def structure(name: str, corners: np.ndarray) -> Scenery:
-    """One object of bare structure: `corners` (m, 3, 3) [m, road frame]."""
-    owner, surface = np.zeros(len(corners), np.int32), np.full(len(corners), STRUCTURE, np.uint8)
-    return Scenery(np.asarray(corners, dtype=float), owner, surface, (name,))
+def structure(name: str, corners: np.ndarray, surface: int = STRUCTURE) -> Scenery:
+    """One object: `corners` (m, 3, 3) [m, road frame]; `surface` is an index into `meshes.SURFACES`."""
+    owner, made_of = np.zeros(len(corners), np.int32), np.full(len(corners), surface, np.uint8)
+    return Scenery(np.asarray(corners, dtype=float), owner, made_of, (name,))
 
 
-def box(name: str, centre_m: Sequence[float], size_m: Sequence[float], heading_rad: float = 0.0) -> Scenery:
+def box(
+    name: str,
+    centre_m: Sequence[float],
+    size_m: Sequence[float],
+    heading_rad: float = 0.0,
+    surface: int = STRUCTURE,
+) -> Scenery:
     """A box by its centre (3,), its length, width and height (3,) [m], and its heading, counter-clockwise from +x."""
     unit = shape("car", "box")
     corners = place(unit.vertices, np.array([centre_m]), np.array([size_m]), np.array([heading_rad]))[0]
-    return structure(name, corners[unit.faces])
+    return structure(name, corners[unit.faces], surface)
 
 
 def road_surface(road: RoadMap, centre_xy: tuple[float, float], reach_m: float) -> Scenery:

@@ -122,11 +122,12 @@ def studied(folder: Path, road: Road, times: int, seed: int, workers: int, mount
     if not (folder / "fcd.xml").exists():
         generate(folder, road, times * SAMPLE_S, seed)
     scenario = load_scenario(scene_of(folder, road, times, workers))
-    place, effort = mounting and scenario.mounting(mounting), QUICK_STABILITY if times == 1 else KNOWN
-    site = prepare(scenario, [place] if place else [])
-    study = StudyFolder(folder / "study", study_identity(site, effort, place), Progress)
+    layout = (scenario.mounting(mounting),) if mounting else None
+    effort = QUICK_STABILITY if times == 1 else KNOWN
+    site = prepare(scenario, layout or ())
+    study = StudyFolder(folder / "study", study_identity(site, effort, layout), Progress)
     with study.locked(resume=(folder / "study").exists()):
-        result = study_stability(site, effort, study, place)
+        result = study_stability(site, effort, study, layout)
     kept.write_text(json.dumps(result), encoding="utf-8")
     return result
 

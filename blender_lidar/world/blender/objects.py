@@ -12,7 +12,7 @@ from mathutils import Euler, Matrix
 from ...errors import InputError
 from ...sensors.beams import BeamLattice, beam_directions
 from ...sensors.pose import Pose, tilts_of
-from ..meshes import GLASS, PAINT, STRUCTURE, tube
+from ..meshes import BUILDING, GLASS, PAINT, PERSON, STRUCTURE, SURFACES, VEGETATION, tube
 from ..scenery import Scenery
 
 # --- What an object of ours stands for, kept in a custom property, so that a scene can be read back and shown again -
@@ -282,13 +282,17 @@ def glass() -> bpy.types.Material:
 # --- What stands beside the road ------------------------------------------------------------------------------------
 
 
+_STANDS = {STRUCTURE: CONCRETE, BUILDING: (0.42, 0.36, 0.3), VEGETATION: (0.1, 0.22, 0.06), PERSON: (0.3, 0.2, 0.2)}
+
+
 def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
     """Barriers, buildings and other standing things, an object each; they take the place of earlier ones."""
     into = collection(scene, "Scenery", STANDING)
     clear(into)
     if scenery is None or not len(scenery := scenery.beside_road):
         return
-    materials = [plain("Structure", CONCRETE), glass()]
+    worn = {number: plain(SURFACES[number].capitalize(), colour, number) for number, colour in _STANDS.items()}
+    worn[GLASS] = glass()
     order = np.argsort(scenery.owner, kind="stable")
     owners, starts = np.unique(scenery.owner[order], return_index=True)
     for row, own in zip(owners.tolist(), np.split(order, starts[1:]), strict=True):
@@ -296,7 +300,9 @@ def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
         corners = scenery.corners[own]
         middle = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))  # float32 is finest about an object
         vertices, faces = np.unique((corners - middle).reshape(-1, 3), axis=0, return_inverse=True)
-        mesh = new_mesh(name, vertices, faces.reshape(-1, 3), materials, scenery.surface[own] == GLASS)
+        made_of = np.where(np.isin(scenery.surface[own], list(worn)), scenery.surface[own], STRUCTURE)
+        numbers, slot = np.unique(made_of, return_inverse=True)
+        mesh = new_mesh(name, vertices, faces.reshape(-1, 3), [worn[number] for number in numbers], slot)
         add_object(into, name, mesh, parent=frame_of(scene)).location = middle
 
 
