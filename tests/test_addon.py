@@ -16,6 +16,8 @@ import pytest
 from blender_lidar.casting import is_available
 from tests.waiting import WAIT_S
 
+pytestmark = pytest.mark.session
+
 SESSION = Path(__file__).with_name("addon_session.py")
 CHECKS = [
     name

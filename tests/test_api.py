@@ -20,6 +20,8 @@ from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
 from tests.small_scene import CASTER, done, write_scene
 
+pytestmark = pytest.mark.versions
+
 ROOT = Path(__file__).parents[1]
 MAPPED = {"deployment": {"height_m": [2.0, 4.5], "tilt_x_deg": [0.0, 25.0]}}
 

@@ -26,6 +26,8 @@ from tests import traffic_samples
 from tests.small_scene import write_scene
 from tests.waiting import WAIT_S
 
+pytestmark = pytest.mark.versions
+
 PACKAGE = Path(blender_lidar.__file__).parent
 ROOT = PACKAGE.parent
 SOURCES = sorted(PACKAGE.rglob("*.py"))

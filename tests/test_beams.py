@@ -15,6 +15,8 @@ from blender_lidar.names import MOST_SPREAD_DEG
 from blender_lidar.sensors.beams import BeamLattice, beam_directions, beam_lattice
 from blender_lidar.sensors.model import LidarModel, load_model, model_names, unit_of
 
+pytestmark = pytest.mark.versions
+
 TURN = 2.0 * math.pi
 
 

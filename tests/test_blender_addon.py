@@ -14,6 +14,7 @@ bpy = pytest.importorskip("bpy")
 
 from blender_lidar.addon import gizmos, live, optimising, properties, scenarios, session
 from blender_lidar.cli import main as command_line
+from blender_lidar.run.verdict import POINTS
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.toml_table import read_toml, to_toml
@@ -24,7 +25,7 @@ from tests.test_heights import SLOPE
 from tests.test_heights import scene as height_scene
 from tests.test_sides import scene as two_way
 
-pytestmark = pytest.mark.usefixtures("registered_addon")
+pytestmark = [pytest.mark.usefixtures("registered_addon"), pytest.mark.versions]
 
 
 def loaded(path: Path):
@@ -68,7 +69,7 @@ def at_an_intersection(folder: Path) -> Path:
         "road": {"net": str(scenes / "crossing.net.xml.gz")},
         "region": {"junction": "middle"},
         "sensor": {"name": "RS-16", "range_gate_m": 60.0},
-        "deployment": {"x_m": 19.0, "y_m": 19.0, "height_m": [2.0, 6.0], "tilt_x_deg": [0.0, 25.0]},
+        "deployment": {"x_m": 19.0, "y_m": 19.0, "height_m": [2.0, 6.0], "tilt_x_deg": 10.0, "installer": False},
         "search": {"particles": 4, "iterations": 2},
     }
     path.write_text(to_toml(settings))
@@ -77,7 +78,7 @@ def at_an_intersection(folder: Path) -> Path:
 
 def on_a_slope(folder: Path) -> Path:
     """A map with heights: a mast at 62 m."""
-    scene = height_scene(folder, SLOPE, caster="bvh", height_m=[3.0, 5.0], tilt_x_deg=[0.0, 20.0])
+    scene = height_scene(folder, SLOPE, caster="bvh", height_m=[3.0, 5.0], tilt_x_deg=10.0, installer=False)
     path, tables = folder / "slope.toml", scene.with_whole_paths()
     path.write_text(to_toml({**tables, "search": {**tables["search"], "particles": 4, "iterations": 2}}))
     return path
@@ -228,7 +229,7 @@ def test_how_long_it_takes_is_said_from_the_searchs_own_rate(tmp_path, monkeypat
     scene = bpy.context.scene
     job = optimising.begin(scene, bpy.context.view_layer, lidars(scene)[0])
     try:
-        assert job.total == 4 * 2 + math.prod(optimising.POINTS)
+        assert job.total == 4 * 2 + math.prod(POINTS)
         clock = iter([0.0, 1.0, 3.0, 3.0, 4.0])
         monkeypatch.setattr(optimising.time, "monotonic", lambda: next(clock))
         assert job.outlook == "Reading traffic and preparing."

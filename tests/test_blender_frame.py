@@ -22,6 +22,8 @@ from blender_lidar.world.blender.site import read_site
 from tests.blender_session import shown_vehicles
 from tests.small_scene import REGION, mounting, without_times, write_scene
 
+pytestmark = pytest.mark.versions
+
 PLACE, TURN_RAD = (1000.0, -500.0, 20.0), math.radians(37.0)
 THERE = Matrix.Translation(PLACE) @ Matrix.Rotation(TURN_RAD, 4, "Z")
 POSE = {"x_m": 0.5, "y_m": -0.25, "height_m": 4.0, "tilt_x_deg": 15.0, "tilt_y_deg": -2.5, "yaw_deg": 7.5}

@@ -23,6 +23,8 @@ from blender_lidar.world.blender.site import LABELS_BY, Labels, open_scenery, re
 from blender_lidar.world.meshes import GLASS, REFLECTIVITY, ROAD, STRUCTURE, surface_of
 from tests.sample_traffic import dense_traffic, scan
 
+pytestmark = pytest.mark.versions
+
 QUAD = np.array([(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0)])
 FACES = np.array([(0, 1, 2), (0, 2, 3)])
 

@@ -38,7 +38,7 @@ def write_layout(folder: Path, *more: dict, hung=(SOUTH, NORTH), **changes: dict
     return path
 
 
-pytestmark = pytest.mark.usefixtures("registered_addon")
+pytestmark = [pytest.mark.usefixtures("registered_addon"), pytest.mark.versions]
 
 
 def loaded(path: Path) -> dict[str, object]:

@@ -14,6 +14,8 @@ from blender_lidar.world.blender.points import cloud_of
 from tests.blender_session import colours_shown
 from tests.small_scene import write_scene
 
+pytestmark = pytest.mark.versions
+
 WALL = np.array([(-30.0, 1.0, 0.0), (30.0, 1.0, 0.0), (30.0, 1.0, 5.0), (-30.0, 1.0, 5.0)])
 
 

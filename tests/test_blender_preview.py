@@ -20,6 +20,8 @@ from blender_lidar.world.blender.traffic import show_still
 from blender_lidar.world.meshes import GLASS, STRUCTURE
 from tests.sample_traffic import dense_traffic
 
+pytestmark = pytest.mark.versions
+
 BEAMS = beam_lattice(load_model("RS-32"), stride=4).directions.reshape(-1, 3)
 POSE = Pose(0.3, -0.2, 4.1, 0.3, 0.02, 0.1)
 

@@ -19,6 +19,8 @@ from blender_lidar.world.blender.scene import build_scene, empty_scene, render_p
 from tests.blender_session import moment
 from tests.test_road_map import arc
 
+pytestmark = pytest.mark.versions
+
 FLAT = StraightRoad().surface
 HALF_M, WIDTH_M, CYCLE_M, WALK_M, ARM_M = 12.0, 3.25, 1.8, 2.5, 150.0
 SIDE = {"vehicles": (0.5 * WIDTH_M, 1.5 * WIDTH_M), "bicycles": (7.4,), "pedestrians": (9.55,)}  # from the middle line

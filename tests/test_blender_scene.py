@@ -37,6 +37,8 @@ from tests.blender_session import LATTICE, POSE, SCENERY, TRAFFIC, assert_shows,
 from tests.sample_traffic import dense_traffic
 from tests.waiting import WAIT_S
 
+pytestmark = pytest.mark.versions
+
 ROOT = Path(__file__).parents[1]
 
 

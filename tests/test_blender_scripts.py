@@ -18,6 +18,8 @@ from blender_lidar.casting import is_available
 from tests.small_scene import without_times, write_scene
 from tests.waiting import WAIT_S
 
+pytestmark = pytest.mark.session
+
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 BLENDER = shutil.which("blender")
 PROGRAMS = [

@@ -20,6 +20,8 @@ from blender_lidar.world.scenery import box
 from tests.refusals import refused
 from tests.small_scene import cli, done, without_charts, write_scene
 
+pytestmark = pytest.mark.versions
+
 WALL = box("wall", (0.0, 1.0, 2.5), (60.0, 0.2, 5.0))
 TURNED = box("wall", (50_000.0 - 1.0, 70.0, 2.5), (0.2, 60.0, 5.0))  # the wall, in a map's frame: x to the north
 

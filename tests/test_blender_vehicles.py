@@ -23,6 +23,8 @@ from blender_lidar.world.shapes import shape
 from tests.refusals import refused
 from tests.small_scene import cli, done, without_charts, write_scene
 
+pytestmark = pytest.mark.versions
+
 
 def item(name, made: Shape, scale=(1.0, 1.0, 1.0), at=(0.0, 0.0, 0.0), into=None):
     found = bpy.data.objects.new(name, new_mesh(name, made.vertices, made.faces))

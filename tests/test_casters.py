@@ -19,6 +19,8 @@ from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 
+pytestmark = pytest.mark.versions
+
 MISSING = {name: pytest.mark.skipif(not is_available(name), reason=f"{name} is not installed") for name in CASTERS}
 FAST = [pytest.param(name, marks=MISSING[name]) for name in ("raster", "bvh", "embree")]
 EVERY = [*FAST, "exact"]

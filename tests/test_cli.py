@@ -23,7 +23,7 @@ from blender_lidar.traffic.table import BOX_NEEDED, OPTIONAL
 from tests.small_scene import cli as run
 from tests.small_scene import done, write_scene, write_table
 
-pytestmark = pytest.mark.usefixtures("quick")
+pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 VERBS = ("optimise", "evaluate", "scan", "score", "sensors", "doctor")
 MOUNT = ("--height", 3.3, "--tilt-x", 12.5, "--tilt-y", 2.0, "--yaw", 3.0, "--x", -1.5, "--y", 0.5)

@@ -12,7 +12,6 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.clouds.files import (
-    ROAD,
     SEMANTIC_CLASSES,
     WRITERS,
     levelled,
@@ -28,6 +27,8 @@ from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.vehicles import CLASSES
 from tests.sample_traffic import dense_traffic, scan
 from tests.small_scene import write_scene
+
+pytestmark = pytest.mark.versions
 
 HEADER = {"sensor": "RS-16", "pose": {"x_m": 1.0, "y_m": -0.5, "height_m": 4.1, "yaw_deg": 30.0}, "frame": 7}
 OTHERS = sorted(set(WRITERS) - {".npz", ".pcd"})

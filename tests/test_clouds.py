@@ -21,6 +21,8 @@ from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.vehicles import CLASSES
 from tests.sample_traffic import dense_traffic, scan
 
+pytestmark = pytest.mark.versions
+
 HEADER = {
     "sensor": "RS-16",
     "pose": {"x_m": 0.0, "y_m": 0.0, "height_m": 4.1, "yaw_deg": 0.0},

@@ -14,6 +14,8 @@ from blender_lidar.scoring import frame_scorer
 from blender_lidar.world.clutter import Walkers, clutter, leaves
 from tests.small_scene import CASTER
 
+pytestmark = pytest.mark.versions
+
 ROAD = road_map(StraightRoad())
 AT_ZERO = [((0.0, 0.0), (0.0, 0.0))]
 

@@ -14,7 +14,10 @@ import blender_lidar
 from blender_lidar.casting import is_available
 from blender_lidar.compiled import numba_works
 
-pytestmark = pytest.mark.skipif(not numba_works(), reason="Numba, of the extra fast, is not installed")
+pytestmark = [
+    pytest.mark.skipif(not numba_works(), reason="Numba, of the extra fast, is not installed"),
+    pytest.mark.versions,
+]
 
 PAIR = "from typing import NamedTuple\n\n\nclass Pair(NamedTuple):\n    left: float\n    right: float\n"
 ADDED = """

@@ -19,6 +19,8 @@ from blender_lidar.world.shapes import DETAILS, SHAPES
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 
+pytestmark = pytest.mark.versions
+
 SENSORS = ("RS-16", "RS-LiDAR-32", "RS-BPearl")  # even, with azimuth offsets, looking up to its own axis
 PLACES = ("roadside", "above", "beside", "inside", "behind")
 ANGLES = st.floats(-np.pi, np.pi)

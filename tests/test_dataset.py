@@ -15,6 +15,8 @@ from blender_lidar.scene.site import prepare
 from tests.sample_traffic import scan
 from tests.small_scene import mounting, traffic_rows, write_scene, write_table
 
+pytestmark = pytest.mark.versions
+
 REGION = {"region": {"centre_m": [0.0, 0.0], "radius_m": 12.0}, "sensor": {"range_gate_m": 15.0}}
 SEARCHED = {"deployment": {"height_m": [2.0, 4.5], "tilt_x_deg": [0.0, 25.0], "x_m": [-2.0, 2.0]}}
 

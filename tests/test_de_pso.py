@@ -23,6 +23,8 @@ from tests.search_landscapes import (
     terraces,
 )
 
+pytestmark = pytest.mark.versions
+
 SHORT = {"particles": 6, "iterations": 9}
 
 

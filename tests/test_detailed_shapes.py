@@ -10,6 +10,8 @@ from blender_lidar.world.detailed_shapes import detailed_parts
 from blender_lidar.world.meshes import GLASS, PAINT, joined
 from blender_lidar.world.shapes import SHAPES, shape
 
+pytestmark = pytest.mark.versions
+
 TYPICAL_SIZE = {
     "car": (4.5, 1.8, 1.5),
     "van": (5.0, 1.9, 1.9),

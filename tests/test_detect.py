@@ -22,6 +22,8 @@ from tests.refusals import refused
 from tests.report_samples import Page
 from tests.small_scene import HEADER, REGION, cli, done, traffic_rows, without_charts, write_scene, write_table
 
+pytestmark = pytest.mark.versions
+
 MOUNT = ("--height", 4.5, "--tilt-x", 15)
 CLASSICAL = ("--detector", "classical")
 

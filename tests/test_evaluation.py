@@ -35,6 +35,8 @@ from blender_lidar.sensors.model import load_model
 from tests.sample_traffic import counted_frames
 from tests.waiting import WAIT_S, wait_for
 
+pytestmark = pytest.mark.versions
+
 SEEN = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4),), "exact", "body", 0.05)
 SCORING = Scoring(0.005, "mean", -1.0, "corrected")
 MOUNTINGS = [

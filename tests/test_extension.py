@@ -17,6 +17,8 @@ import pytest
 
 import blender_lidar
 
+pytestmark = pytest.mark.session
+
 ROOT = Path(__file__).resolve().parents[1]
 SESSION = ROOT / "tests" / "extension_session.py"
 BLENDER = shutil.which("blender")

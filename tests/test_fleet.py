@@ -31,6 +31,8 @@ from blender_lidar.world.triangles import shape_names
 from tests.sample_traffic import dense_traffic
 from tests.small_scene import CASTER
 
+pytestmark = pytest.mark.versions
+
 
 def scenario(variety, **more):
     scene = {("world", "variety"): variety, ("model", "caster"): CASTER, ("traffic", "frames"): 6}

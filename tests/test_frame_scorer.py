@@ -33,6 +33,8 @@ from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, joined, one_vehicle, scan
 
+pytestmark = pytest.mark.versions
+
 LATTICES = {name: beam_lattice(load_model(name), stride=20) for name in ("RS-16", "RS-LiDAR-32", "RS-BPearl")}
 LATTICES["a unit of RS-80"] = beam_lattice(unit_of(load_model("RS-80"), 0.1, 3), stride=50)
 POSE = Pose(height_m=4.1, tilt_x=math.radians(19.0))

@@ -31,6 +31,8 @@ from blender_lidar.scoring.scores import VehicleScores
 from tests.small_scene import mounting, traffic_rows, write_scene, write_table
 from tests.test_auto_search import made_search
 
+pytestmark = pytest.mark.versions
+
 ROOT = Path(__file__).parents[1]
 GOLDEN = Path(__file__).with_name("golden.json")
 KITTI = ROOT.parent / "shared" / "data" / "kitti"

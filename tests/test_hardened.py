@@ -22,6 +22,8 @@ from tests.search_landscapes import (
     terraces,
 )
 
+pytestmark = pytest.mark.versions
+
 SHORT = {"particles": 8, "evaluations": 400}
 
 

@@ -15,6 +15,8 @@ from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.studies.variations import ablations, traffic_variations
 from blender_lidar.toml_table import to_toml
 
+pytestmark = pytest.mark.versions
+
 HEADER = "frame,vehicle_id,class,x_m,y_m,length_m,width_m,height_m,heading_deg,time_s"
 
 

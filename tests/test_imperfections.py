@@ -15,6 +15,8 @@ from blender_lidar.sensors.model import load_model, unit_of
 from blender_lidar.sensors.pose import Pose
 from tests.sample_traffic import dense_traffic, one_vehicle, scan
 
+pytestmark = pytest.mark.versions
+
 FINE = {name: beam_lattice(load_model(name)) for name in ("RS-16", "RS-LiDAR-32")}
 COARSE = {
     "RS-16": beam_lattice(load_model("RS-16"), stride=20),

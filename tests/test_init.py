@@ -259,7 +259,8 @@ def test_one_way_traffic_is_told_by_lane_numbers_from_the_kerb_alone(tmp_path):
 def test_mirrored_traffic_gives_a_mirrored_scene_and_the_same_result(back, tmp_path, monkeypatch, capsys):
     """With two carriageways every vehicle of both counts."""
     without_charts(monkeypatch)
-    results, how = [], ("--frames", 4, "--caster", "exact", "--detail", "box", "--workers", 1, "--json")
+    results, how = [], ("--frames", 4, "--caster", CASTER, "--detail", "box", "--installer", "false", "--workers", 1)
+    how += ("--json",)
     for side in ("right", "left"):
         folder = tmp_path / side
         path = write_rows(tmp_path / f"{side}.fcd.xml", both_ways(side, back=back, until_s=40.0, wanders=False))

@@ -116,7 +116,8 @@ def test_a_net_gives_its_junction_four_corners_and_a_scene_that_runs(tmp_path, s
         )
     )
     assert any(frame.counted.any() for frame in site.search)
-    how = ("--frames", 3, "--particles", 6, "--iterations", 2, "--workers", 1, "--out", tmp_path / "run")
+    how = ("--frames", 3, "--particles", 6, "--iterations", 2, "--installer", "false", "--workers", 1)
+    how += ("--out", tmp_path / "run")
     assert run("optimise", folder / "scene.toml", *how) == 0
     told = capsys.readouterr().out
     assert "from_north" in told
@@ -342,7 +343,20 @@ def test_a_picture_of_the_site_lies_under_reach_and_blind_zones(tmp_path, sample
         "[[0, 400, -100.0, -100.0], [400, 400, 100.0, -100.0]]\n"
     )
     poles = poles_of(folder)
-    how = ("--height", 4, "--tilt-x", 15, "--pole", next(iter(poles)), "--frames", 3, "--workers", 1)
+    how = (
+        "--height",
+        4,
+        "--tilt-x",
+        15,
+        "--pole",
+        next(iter(poles)),
+        "--frames",
+        3,
+        "--installer",
+        "false",
+        "--workers",
+        1,
+    )
     for name, words in (("with", ()), ("without", None)):
         if words is None:
             scene.write_text(scene.read_text().partition("\n[plan]")[0])

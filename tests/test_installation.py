@@ -57,7 +57,7 @@ def sheet(tmp_path):
                 "map": score_map,
                 "bounds": {"height_m": [2.0, 4.5], "tilt_x_deg": [0.0, 25.0]},
                 "pointing": pointing(site, site.scenario.mounting(MOUNT | mount)),
-                "other_traffic": other_traffic(site, [(site.scenario.mounting(MOUNT | mount),)]),
+                "other_traffic": other_traffic(site, (site.scenario.mounting(MOUNT | mount),)),
                 "assumptions": ["Heights are guessed"],
                 "notes": ["a note on frames"],
                 "traffic_report": {"notes": []},

@@ -23,6 +23,8 @@ from blender_lidar.world.shapes import shape
 from blender_lidar.world.triangles import place, vehicle_triangles
 from tests.sample_traffic import dense_traffic
 
+pytestmark = pytest.mark.versions
+
 EVERY = [
     pytest.param(name, marks=pytest.mark.skipif(not is_available(name), reason=f"{name} is not installed"))
     for name in CASTERS

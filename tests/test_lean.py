@@ -21,7 +21,7 @@ from blender_lidar.sensors.pose import lean_matrix, lean_of, rotation_matrix, ti
 from tests.refusals import refused
 from tests.small_scene import cli, mounting, write_scene
 
-pytestmark = pytest.mark.usefixtures("quick")
+pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 PLACE = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0}
 half, whole = (st.floats(-limit, limit) for limit in (math.pi / 2, 2.0 * math.pi))

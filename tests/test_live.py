@@ -26,6 +26,8 @@ from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.scenery import barrier, box, join
 from tests.sample_traffic import dense_traffic, scan
 
+pytestmark = pytest.mark.versions
+
 LATTICE = beam_lattice(load_model("RS-16"), stride=6)
 TRAFFIC = dense_traffic(vehicles=40, length_m=100.0)
 FRAME = CountedFrame(TRAFFIC, np.hypot(*TRAFFIC.centre_m[:, :2].T) < 30.0, np.linspace(0.5, 2.0, len(TRAFFIC)))

@@ -23,6 +23,8 @@ from blender_lidar.world.scenery import Scenery, structure
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle, scan
 
+pytestmark = pytest.mark.versions
+
 LATTICE = beam_lattice(load_model("RS-LiDAR-32"), stride=4)
 TRAFFIC = dense_traffic(vehicles=16, length_m=45.0, frame=7)
 POSE = Pose(1.0, -0.5, 3.6, 0.3, 0.07, -0.5)

@@ -33,7 +33,7 @@ from tests.report_samples import page_of
 from tests.sample_traffic import counted_frames
 from tests.small_scene import cli, done, without_charts, write_scene
 
-pytestmark = pytest.mark.usefixtures("quick")
+pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 SEEN = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4),), "exact", "body", 0.05)
 MOUNTINGS = [

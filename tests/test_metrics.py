@@ -19,6 +19,8 @@ from blender_lidar.metrics.vehicle_metrics import voxel_entropy
 from blender_lidar.metrics.vgop import pe_vgop, to_vehicle_frame
 from tests.small_scene import cli, done
 
+pytestmark = pytest.mark.versions
+
 OF_RETURNS = [name for name in METRICS if METRICS[name].needs <= {NEEDS_POINTS}]
 """Metrics of a vehicle's returns alone."""
 GROW_WITH_POINTS = (

@@ -22,6 +22,8 @@ from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose, lean_matrix, rotation_matrix
 from tests.small_scene import FRAME_STEP_S, mounting, traffic_rows, write_scene, write_table
 
+pytestmark = pytest.mark.versions
+
 LEVEL = StraightRoad()
 SLOPING = StraightRoad(grade_percent=6.0, cross_fall_percent=-2.5, crown_percent=3.0)
 ANGLE = st.floats(-1.4, 1.4)

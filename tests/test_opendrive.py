@@ -13,6 +13,8 @@ import pytest
 from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.road.opendrive import read_opendrive
 
+pytestmark = pytest.mark.versions
+
 SITES = Path(__file__).parents[2] / "shared" / "data" / "sites" / "opendrive"
 LINE = ("<line/>", 100.0)
 

@@ -24,7 +24,7 @@ from blender_lidar.scene.mounting import COORDINATES
 from tests.refusals import refused
 from tests.small_scene import cli, done, without_times, write_scene
 
-pytestmark = pytest.mark.usefixtures("quick")
+pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 
 def parsed(scene: Path, *words: object) -> argparse.Namespace:

@@ -167,6 +167,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_and_one_that_has_ended_is_no
         assert (tmp_path / "run" / name).read_bytes() == (ran.folder / name).read_bytes(), name
 
 
+@pytest.mark.parametrize("ran", ["slope_and_crown", "two_recordings_with_poles"], indirect=True)
 def test_two_processes_find_what_one_finds(ran, tmp_path, capsys):
     found = verb(capsys, "evaluate", ran.scene, *ran.mounting, "--workers", 2, "--out", tmp_path / "run")
     assert scores(found) == scores(ran.result)
@@ -271,6 +272,7 @@ def measured(result: Mapping) -> dict[str, float]:
     return {key: value for key, value in given.items() if not isinstance(value, dict)}
 
 
+@pytest.mark.parametrize("ran", ["stretches", "two_recordings_with_poles", "utm_polygon"], indirect=True)
 def test_a_data_set_and_a_detector_have_the_vehicles_and_the_judgement_of_their_scene(ran, tmp_path, capsys):
     """One mounting of a data set: its scans that validate are the held-out frames, seen from there."""
     folder = tmp_path / "set"
@@ -304,6 +306,7 @@ def test_a_data_set_and_a_detector_have_the_vehicles_and_the_judgement_of_their_
         assert counted == {key: value for key, value in points.items() if key[0] == scan["frame"]}
 
 
+@pytest.mark.parametrize("ran", ["circle", "slope_and_crown"], indirect=True)
 def test_detections_are_judged_from_their_files_as_they_were_found(ran, tmp_path, capsys):
     words = ("detect", ran.scene, *ran.mounting, "--detector")
     expected = measured(verb(capsys, *words, "pillars", "--out", tmp_path / "found"))
@@ -316,6 +319,7 @@ def test_detections_are_judged_from_their_files_as_they_were_found(ran, tmp_path
 # --- Studies, and proposals -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("ran", ["stretches", "two_recordings_with_poles", "utm_polygon"], indirect=True)
 def test_studies_start_from_the_scores_of_evaluate_or_say_what_they_are_about(ran, tmp_path, capsys, monkeypatch):
     pytest.importorskip("scipy", reason="studies need SciPy")
     monkeypatch.setattr("blender_lidar.commands.studies.QUICK_CHART", TINY_CHART)
@@ -355,6 +359,7 @@ def centres(path: Path) -> dict[int, np.ndarray]:
     return {frame: np.array(rows) for frame, rows in found.items()}
 
 
+@pytest.mark.parametrize("ran", ["circle", "utm_polygon"], indirect=True)
 def test_a_proposed_scene_counts_the_vehicles_of_its_stretch(ran, tmp_path, capsys):
     traffic = ran.settings.recordings[0]
     types = () if traffic.vehicle_types is None else ("--vehicle-types", *traffic.vehicle_types)

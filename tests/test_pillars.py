@@ -29,7 +29,7 @@ from blender_lidar.scene.site import prepare
 from tests.refusals import refused
 from tests.small_scene import CASTER, REGION, done, write_scene
 
-pytestmark = pytest.mark.usefixtures("quick")
+pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 AREA = Area((-12.8, -6.4), 64, 32)
 LIDAR_M = 4.5

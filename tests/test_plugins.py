@@ -22,7 +22,7 @@ from blender_lidar.studies.variations import metric_variations
 from tests.small_scene import cli, done, write_scene
 from tests.waiting import WAIT_S
 
-pytestmark = pytest.mark.usefixtures("quick")
+pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "docs" / "examples"

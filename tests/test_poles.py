@@ -29,7 +29,7 @@ from tests.refusals import refused
 from tests.sample_traffic import one_vehicle
 from tests.small_scene import REGION, cli, done, mounting, without_charts, without_times, write_scene
 
-pytestmark = pytest.mark.usefixtures("quick")
+pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 HEADER = "name,x_m,y_m,foot_z_m,height_min_m,height_max_m,cost,existing\n"
 ROWS = "lamp,0,0,0.5,2,3,,yes\ngantry,-6,-1,,,,1500,no\nfar mast,60,-40,0,2,6,,\n"
@@ -252,8 +252,8 @@ def ranked(places, x_m, metric="pe-vgop", recording=(0,) * 8):
     scoring = Scoring(1e-6, "mean", None, "corrected", metric)
     held = {"holdout": np.arange(4, 12), "holdout_block": np.arange(8), "holdout_recording": np.array(recording)}
     plan = SimpleNamespace(**held)
-    scenario = SimpleNamespace(search=SimpleNamespace(seed=1), installers=(HANGS,), aim="mean")
-    site = SimpleNamespace(plan=plan, scoring=scoring, scenario=scenario)
+    scenario = SimpleNamespace(search=SimpleNamespace(seed=1), installers=(HANGS,), aim="mean", is_exact=True)
+    site = SimpleNamespace(plan=plan, scoring=scoring, scenario=scenario, search=frames[:4])
     plans = [(mounting({"height_m": 3.0, "tilt_x_deg": 17.0, "y_m": y}),) for y in places]
     spaces = [SearchSpace((Place({}, {}, pole=Pole(f"{y:g}", 0.0, y)),)) for y in places]
     with Evaluator(frames[:4], seen, scoring, held_out=frames[4:]) as evaluator:

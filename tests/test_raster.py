@@ -18,7 +18,7 @@ from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 from tests.test_casters import unit_rows
 
-pytestmark = pytest.mark.skipif(not is_available("raster"), reason="Numba is not installed")
+pytestmark = [pytest.mark.skipif(not is_available("raster"), reason="Numba is not installed"), pytest.mark.versions]
 
 
 @pytest.mark.parametrize("shared", [True, False])

@@ -27,7 +27,7 @@ from tests.small_scene import (
     write_table,
 )
 
-pytestmark = pytest.mark.usefixtures("quick")
+pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 MORNING = {"path": "morning.csv", "frames": 6, "holdout": 0.4, "block_s": 10.0}
 EVENING = {"path": "evening.csv", "frames": 4, "holdout": 0.5, "block_s": 12.0}

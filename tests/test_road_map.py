@@ -16,6 +16,8 @@ from blender_lidar.scene.mount_checks import boxes_around, footprints_meet
 from blender_lidar.scene.settings import BarrierSettings
 from blender_lidar.world.scenery import along_road, barrier
 
+pytestmark = pytest.mark.versions
+
 STRAIGHT = StraightRoad(setback_m=2.0, lanes=3, lane_width_m=3.5)
 FLAT = STRAIGHT.surface
 

@@ -19,6 +19,8 @@ from blender_lidar.world.shapes import DETAILS
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle, scan
 
+pytestmark = pytest.mark.versions
+
 LATTICES = {name: beam_lattice(load_model(name), stride=10) for name in ("RS-16", "RS-LiDAR-32", "RS-BPearl")}
 LATTICE = LATTICES["RS-16"]
 TRAFFIC = dense_traffic(vehicles=40, length_m=100.0)

@@ -17,6 +17,8 @@ from blender_lidar.toml_table import to_toml
 from tests.scene_texts import MINIMAL, own_sensor, refusal, scene
 from tests.small_scene import write_scene
 
+pytestmark = pytest.mark.versions
+
 # --- what a scene means -----------------------------------------------------------------------------------------------
 
 

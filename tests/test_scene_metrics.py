@@ -40,6 +40,8 @@ from tests.small_scene import MAPPED, done, without_charts, write_scene
 from tests.test_occupancy_priors import covered_entropy, expected_visibility, m_sog, s_mig
 from voxel_grid import covered_voxels
 
+pytestmark = pytest.mark.versions
+
 WITH_PRIOR = NAMES[:4]
 LATTICE = beam_lattice(load_model("RS-16"), stride=4)
 SEEN = Observation((Lidar(LATTICE, 30.0, 0.4),), "exact", "box", 0.05)

@@ -34,6 +34,8 @@ from tests.report_samples import Page
 from tests.sample_traffic import dense_traffic, scan
 from tests.small_scene import cli, done, without_charts, without_times, write_scene
 
+pytestmark = pytest.mark.versions
+
 LATTICE = beam_lattice(load_model("RS-16"), stride=6)
 TRAFFIC = dense_traffic(vehicles=30, length_m=80.0)
 POSE = Pose(1.0, -0.5, 4.1, math.radians(15.0), math.radians(2.0), math.radians(-20.0))

@@ -17,6 +17,8 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import DATA_FOLDER, load_model, model_names, with_columns
 from tests.waiting import WAIT_S
 
+pytestmark = pytest.mark.versions
+
 BEAM_TABLES = Path(__file__).parents[2] / "shared" / "reference" / "beams"
 VELODYNE_TURNS_THE_OTHER_WAY = -1.0
 # Model: table of beams, whether its firing times are known (None: not from there), sign of its azimuth offsets.

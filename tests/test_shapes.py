@@ -31,6 +31,8 @@ from blender_lidar.world.shapes import DETAILS, SHAPES, shape, wheels
 from blender_lidar.world.triangles import STATIC, vehicle_triangles
 from tests.sample_traffic import dense_traffic, one_vehicle
 
+pytestmark = pytest.mark.versions
+
 BODIES = [body.name for bodies in FLEET.values() for body in bodies]
 ALL = [(name, detail) for name in SHAPES for detail in DETAILS]
 ALL += [(name, "body") for name in BODIES if name not in SHAPES]

@@ -22,6 +22,8 @@ from blender_lidar.sensors.pose import Pose, rotation_matrix
 from blender_lidar.world.triangles import vehicle_triangles
 from tests.small_scene import CASTER
 
+pytestmark = pytest.mark.versions
+
 MOUNT = dict(zip(COORDINATES, (3.0, -1.0, 4.2, 14.0, 5.0, 20.0), strict=True))
 SLOPES = {"grade_percent": 6.0, "cross_fall_percent": -2.5}
 

@@ -23,6 +23,8 @@ from tests.waiting import WAIT_S
 shapely = pytest.importorskip("shapely", reason="shapely, of the extra test, is not installed")
 pytest.importorskip("sumolib", reason="sumolib, of the extra maps, is not installed")
 
+pytestmark = pytest.mark.versions
+
 INGOLSTADT = Path(__file__).parents[1].parent / "shared" / "data" / "sites" / "ingolstadt1"
 needs_ingolstadt = pytest.mark.skipif(not INGOLSTADT.is_dir(), reason=f"no net of a site at {INGOLSTADT}")
 ORIGIN_M = (212990.0, 451459.0)

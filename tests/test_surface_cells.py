@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.surface_cells import cells_with_points, surface_cells
 
+pytestmark = pytest.mark.versions
+
 QUAD = np.array([[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)], [(0.0, 0.0), (1.0, 1.0), (0.0, 1.0)]])
 
 

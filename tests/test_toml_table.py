@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.toml_table import Setting, TomlTable, checked, read_toml, setting, settings_of, to_toml
 
+pytestmark = pytest.mark.versions
+
 PAIR = float | tuple[float, float]
 
 

@@ -13,6 +13,8 @@ from blender_lidar.traffic import RepairReport, instants, plan_frames, well_popu
 from blender_lidar.traffic.frames import few_vehicles
 from blender_lidar.traffic.vehicles import Recording
 
+pytestmark = pytest.mark.versions
+
 REGION_M = 50.0
 SPEED_M_S = 10.0
 TRANSIT_S = 2 * REGION_M / SPEED_M_S

@@ -183,7 +183,10 @@ def test_lines_parsed_by_numpy_and_rows_of_texts_give_the_same(tmp_path, monkeyp
 
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "ngsim"
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the NGSIM excerpts of ../shared/data are not here")
+pytestmark = [
+    pytest.mark.skipif(not DATA.is_dir(), reason="the NGSIM excerpts of ../shared/data are not here"),
+    pytest.mark.versions,
+]
 
 SUMO = "SYNTHETIC_sumo_i80_60s_ngsim18.txt.gz"
 LANES_1_TO_3 = "i80_0400-0415_lanes1-3_partial_18col.csv.gz"

@@ -17,6 +17,8 @@ from blender_lidar.traffic.sumo_types import DEFAULT_TYPES, class_in_name, read_
 from tests import sumo_samples as samples
 from tests.traffic_samples import assert_same_boxes
 
+pytestmark = pytest.mark.versions
+
 TYPES = """<routes>
   <vType id="car" length="4.4" width="1.85" height="1.45"/>
   <vType id="lorry" vClass="truck" length="12.5"/>

@@ -15,6 +15,8 @@ from blender_lidar.traffic.table import BOX_NEEDED
 from blender_lidar.traffic.vehicles import CLASSES, RepairReport
 from tests.traffic_samples import refused
 
+pytestmark = pytest.mark.versions
+
 HEADER = "frame,vehicle_id,class,x_m,y_m,z_m,length_m,width_m,height_m,heading_deg"
 ROWS = [
     "10,1,car,5.0,6.0,0.75,4.5,1.9,1.5,2.0",

@@ -21,6 +21,8 @@ from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.studies.variations import _with_barrier
 from tests.small_scene import traffic_rows, write_scene, write_table
 
+pytestmark = pytest.mark.versions
+
 QUARTER = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # a quarter turn to the left, for rows
 BARRIER = {"kind": "guard_rail", "y_m": 1.4, "x_m": [-30.0, -5.0]}
 BOX = {"centre_m": [6.0, 1.0, 0.6], "size_m": [1.0, 0.5, 1.2]}

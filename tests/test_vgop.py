@@ -14,6 +14,8 @@ from blender_lidar.errors import InputError
 from blender_lidar.metrics import vgop, view_grids
 from blender_lidar.optimise import detectable, vehicle_score
 
+pytestmark = pytest.mark.versions
+
 CAR = np.array([[4.5, 1.8, 1.5]])
 
 

@@ -19,6 +19,8 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.world.shapes import shape
 
+pytestmark = pytest.mark.versions
+
 CAR = np.array([4.5, 1.8, 1.5])
 SHARES = st.tuples(*[st.floats(0.0, 1.0)] * 3)
 

@@ -29,6 +29,8 @@ from blender_lidar.studies.driver import AS_IT_IS, Job, landscapes
 from tests.sample_traffic import counted_frames, joined, one_vehicle
 from tests.small_scene import without_charts, write_scene
 
+pytestmark = pytest.mark.versions
+
 SEEN = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=20), 40.0, 0.4),), "exact", "body", 0.05)
 SCORING = Scoring(0.005, "mean", -1.0, "corrected")
 LAYOUTS = [(Mounting(height_m=2.0),), (Mounting(height_m=4.1, tilt_x=0.33),)]

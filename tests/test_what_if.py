@@ -18,6 +18,7 @@ from blender_lidar.report.cautions import (
     other_traffic_text,
     other_traffic_texts,
 )
+from blender_lidar.run.as_hung import FEW_ERRORS, besides
 from blender_lidar.run.what_if import (
     LORRY_SHARES,
     OTHER_HEIGHTS,
@@ -27,6 +28,8 @@ from blender_lidar.run.what_if import (
     with_lorries_in_place,
     with_other_heights,
 )
+from blender_lidar.scene.deployment import Installer
+from blender_lidar.scene.installation import installed_layout
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
@@ -45,6 +48,7 @@ FAST = "raster" if is_available("raster") else CASTER
 def site():
     """The shipped road of six lanes."""
     changes = {("model", "caster"): FAST, ("traffic", "frames"): 4, ("model", "workers"): 1}
+    changes["deployment", "installer"] = False
     return prepare(load_scenario("i80", {key: (value, "x") for key, value in changes.items()}))
 
 
@@ -57,7 +61,7 @@ def planned(site):
 @pytest.fixture(scope="module")
 def seen(site, planned):
     """What it sees of other traffic."""
-    return other_traffic(site, [planned])
+    return other_traffic(site, planned)
 
 
 def kinds_by_lane(site):
@@ -124,7 +128,7 @@ def test_the_other_side_has_the_mirror_image_of_a_mounting(site, changes):
 
 
 def test_coverage_of_recorded_traffic_is_that_of_the_frames_and_the_same_again(site, planned, seen):
-    found = other_traffic(site, [planned])
+    found = other_traffic(site, planned)
     assert found == seen
     with Evaluator(site.holdout, site.observation, site.scoring) as evaluator:
         share = evaluator.totals([planned]).detectable_share()[0]
@@ -224,7 +228,7 @@ def crossing():
 
 @pytest.fixture(scope="module")
 def seen_at_crossing(crossing):
-    return other_traffic(crossing, [crossing.scenario.baselines])
+    return other_traffic(crossing, crossing.scenario.baselines)
 
 
 def driven_scene(folder):
@@ -277,7 +281,7 @@ def test_at_an_intersection_the_approach_whose_lorries_cost_most_is_named(seen_a
 
 def test_a_driven_area_has_lorries_too(tmp_path):
     site = prepare(load_scenario(driven_scene(tmp_path)))
-    found = other_traffic(site, [site.scenario.baselines])
+    found = other_traffic(site, site.scenario.baselines)
     lorries = {mix["lanes"]: mix for mix in found["mixes"] if mix["lorries"] == 1.0}
     assert set(lorries) == {"approach west", "the whole area"}
     assert lorries["the whole area"]["boxes"] > 0
@@ -340,13 +344,19 @@ def test_what_is_drawn_is_drawn_several_times_and_what_is_not_once(seen):
     assert set(draws.values()) == {1, 2}
 
 
-def test_of_several_installations_the_mean_is_told(site, planned, seen):
-    lower = (site.scenario.mounting({"height_m": 2.5, "tilt_x_deg": 23.0}),)
-    each, both = [seen, other_traffic(site, [lower])], other_traffic(site, [planned, lower])
-    for of_both, *of_each in zip(*([one["recorded"], *one["mixes"]] for one in (both, *each)), strict=True):
-        if of_both.get("lanes", "every lane") in ("every lane", None):  # the nearest lanes are those of the first
-            assert of_both["detectable_share"] == pytest.approx(np.mean([one["detectable_share"] for one in of_each]))
-    assert both["recorded"]["interval_90"] is not None
+def test_each_frame_is_seen_under_installation_errors_of_its_own(site, planned):
+    scenario = replace(site.scenario, deployment=replace(site.scenario.deployment, installer=Installer(tilt_deg=4.0)))
+    frames = [frame for frame in site.holdout if frame.counted.any()]
+    errors, seen = besides(scenario, len(frames)), []
+    for frame, of_frame in zip(frames, errors, strict=True):
+        evaluator = Evaluator([frame], site.observation, site.scoring)
+        hits = [evaluator.by_box([installed_layout(planned, error)])[1][0] for error in of_frame]
+        seen.append(np.mean(hits, axis=0))
+    found = other_traffic(replace(site, scenario=scenario), planned)
+    assert len(frames) == found["frames"]
+    assert len(errors) * errors.shape[1] >= FEW_ERRORS
+    assert found["recorded"]["detectable_share"] == pytest.approx(np.concatenate(seen).mean())
+    assert found["recorded"]["interval_90"] is not None
 
 
 def test_other_heights_are_those_of_variety_where_a_class_has_one_height(site):
@@ -382,12 +392,12 @@ def cars_alone(folder, columns=HEADER):
 def test_cars_alone_are_told_with_their_sizes_and_whose_these_are(tmp_path):
     end = "no lorry or bus is in the figures"
     site = cars_alone(tmp_path)
-    recorded = other_traffic(site, [site.scenario.baselines])
+    recorded = other_traffic(site, site.scenario.baselines)
     assert fleet_text({"other_traffic": recorded}) == (
         f"The recording has cars (4.3 x 1.8 x 1.5 m) alone, sizes as recorded; {end}"
     )
     without = cars_alone(tmp_path / "flat", [name for name in HEADER if name != "height_m"])
-    told = other_traffic(without, [without.scenario.baselines])
+    told = other_traffic(without, without.scenario.baselines)
     assert ", height assumed, the usual of the class; " in fleet_text({"other_traffic": told})
     assert other_traffic_texts({"other_traffic": told})[0].startswith("The recording has cars (4.3 x 1.8 x 1.5 m)")
 

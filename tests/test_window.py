@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.session
+
 ROOT = Path(__file__).resolve().parents[1]
 MISSING = [name for name in ("blender", "xvfb-run", "xdotool") if shutil.which(name) is None]
 SCREEN = ["xvfb-run", "-a", "-s", "-screen 0 1400x1000x24"]

@@ -18,6 +18,8 @@ from blender_lidar.scoring.workers import Workers
 from tests.small_scene import write_scene
 from tests.waiting import WAIT_S
 
+pytestmark = pytest.mark.versions
+
 ROOT = Path(__file__).parents[1]
 
 

@@ -24,10 +24,10 @@ SEARCHED_ERRORS = 24  # installation errors of a search, at least, however few f
 FINAL_EACH = 8  # of each frame, under which the best few are compared and the best is polished
 LOW_BASE = 7  # its square is how many errors, of all frames each, a quantile is searched over
 JUDGED_BASE = 5  # its square is how many errors the figures stand on, of all frames each
-FEW_BASE = 3  # the same of what is told besides, of other traffic
+FEW_ERRORS = 12  # of what is told besides, at least, however few frames it has
 LOW_SHARE = 0.1  # the share of installations that may fall below what "low" aims at
 DEGREE, HEIGHT_M = 1.0, 0.1  # errors that are told each alone
-_SEARCH, _FINAL = 1, 2  # streams of random numbers
+_SEARCH, _FINAL, _BESIDES = 1, 2, 3  # streams of random numbers
 
 # --- The objective as hung, on the searched frames --------------------------------------------------------------------
 
@@ -37,10 +37,7 @@ def searching(site: Site, evaluator: Evaluator) -> Evaluator:
 
     Their mean, whatever the scene's `aim`, which the last stage alone has: see `HungObjective`.
     """
-    if site.scenario.is_exact:
-        return evaluator
-    each = math.ceil(SEARCHED_ERRORS / max(len(site.search), 1))
-    return evaluator.under(_latin(site, each, _SEARCH))
+    return evaluator.under(_of_frames(site.scenario, len(site.search), SEARCHED_ERRORS, _SEARCH))
 
 
 class HungObjective:
@@ -54,9 +51,8 @@ class HungObjective:
 
     def __init__(self, site: Site, evaluator: Evaluator) -> None:
         self._scenario, self._evaluator = site.scenario, evaluator
-        self._mean = evaluator
-        if not site.scenario.is_exact:
-            self._mean = evaluator.under(_latin(site, FINAL_EACH, _FINAL))
+        frames = len(site.search)
+        self._mean = evaluator.under(_of_frames(site.scenario, frames, FINAL_EACH * frames, _FINAL))
 
     def __call__(self, layouts: Sequence[Layout]) -> np.ndarray:
         """Of each layout, (s,), in the metric's unit."""
@@ -68,9 +64,17 @@ class HungObjective:
         return np.quantile(objective, LOW_SHARE, axis=1, method="hazen")  # each of m stands for 1 / m of the errors
 
 
-def _latin(site: Site, each: int, stream: int) -> np.ndarray:
-    scenario = site.scenario
-    return latin_errors(scenario.installers, len(site.search), each, [scenario.search.seed, stream])
+def besides(scenario: Scenario, frames: int) -> np.ndarray | None:
+    """Installation errors of each frame on which something is told besides, (frames, e, l, 4); None without any."""
+    return _of_frames(scenario, frames, FEW_ERRORS, _BESIDES)
+
+
+def _of_frames(scenario: Scenario, frames: int, least: int, stream: int) -> np.ndarray | None:
+    """Installation errors of each frame, (frames, e, l, 4), at least so many in all; None where nothing is shaken."""
+    if scenario.is_exact:
+        return None
+    each = math.ceil(least / max(frames, 1))
+    return latin_errors(scenario.installers, frames, each, [scenario.search.seed, stream])
 
 
 # --- Figures, on the frames that judge --------------------------------------------------------------------------------
@@ -109,11 +113,11 @@ class HungScores:
         )
 
 
-def installations(scenario: Scenario, plan: Layout, base: int = JUDGED_BASE) -> list[Layout]:
-    """Equally likely installations of a plan, `base` squared of them: it alone where nothing shakes it."""
+def _installations(scenario: Scenario, plan: Layout) -> list[Layout]:
+    """Equally likely installations of a plan, `JUDGED_BASE` squared of them: it alone where nothing shakes it."""
     if scenario.is_exact:
         return [plan]
-    return [installed_layout(plan, error) for error in orthogonal_errors(scenario.installers, base)]
+    return [installed_layout(plan, error) for error in orthogonal_errors(scenario.installers, JUDGED_BASE)]
 
 
 def hung_scores(
@@ -127,7 +131,7 @@ def hung_scores(
     degrees, heights = single_errors(scenario.installers, DEGREE, HEIGHT_M) if singles else ([], [])
     layouts, count = [], 1
     for plan in plans:
-        hung = installations(scenario, plan) if shaken else [plan]
+        hung = _installations(scenario, plan) if shaken else [plan]
         count = len(hung)
         layouts += [*hung, *(installed_layout(plan, error) for error in (*degrees, *heights))]
     rows = evaluator.by_box(layouts)

@@ -21,7 +21,7 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..traffic.frames import NOTHING_HELD_OUT
 from .approach_files import write_approaches
-from .as_hung import FEW_BASE, HungObjective, installations, searching
+from .as_hung import HungObjective, searching
 from .assumptions import assumptions, site_name
 from .folder import CHECKPOINT, HISTORY, HISTORY_CANDIDATES, RUN_SCHEMA, RunFolder
 from .layouts import judge_layout
@@ -223,7 +223,7 @@ def _conclude(
         "groups": groups,
         "baseline": {**_deployed(scenario, scenario.baselines), **verdict[BASELINE_NAME]},
         "cross_fitted": crossed,
-        "other_traffic": other_traffic(site, installations(scenario, layouts["optimised"], FEW_BASE)),
+        "other_traffic": other_traffic(site, layouts["optimised"]),
         "assumptions": assumptions(site, tables["optimised"]),
         "warnings": site.recording.report.warnings_as_dicts(),
         "notes": [note for note in site.plan.notes if crossed is None or NOTHING_HELD_OUT not in note],

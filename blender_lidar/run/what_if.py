@@ -30,7 +30,7 @@ from ..traffic.fleet import (
     with_variety,
 )
 from ..traffic.vehicles import CLASSES, DIMENSIONS, Vehicles
-from .as_hung import as_planned, hung_scores, judge_as_hung, searching
+from .as_hung import as_planned, besides, hung_scores, judge_as_hung, searching
 from .vehicle_table import APPROACH, BoxShares, approaches, lanes, vehicle_tables
 
 # --- Other traffic ----------------------------------------------------------------------------------------------------
@@ -273,15 +273,16 @@ _FRAMES, _SLOW_FRAMES = 20, 3  # of the judging ones: the share to a few points,
 _DRAWS = 2  # of what is drawn, so that its interval holds the draw
 
 
-def other_traffic(site: Site, layouts: Sequence[Layout]) -> dict[str, object]:
-    """Coverage of a mounting when other traffic drives, as JSON holds it.
+def other_traffic(site: Site, layout: Layout) -> dict[str, object]:
+    """Coverage of a mounting as hung when other traffic drives, as JSON holds it.
+
+    Each frame is seen under installation errors of its own, the same in all traffic.
 
     Parameters
     ----------
     site : Site
-    layouts : sequence of Layout
-        Equally likely installations of one plan, whose mean is told. Lanes are the nearest to the first LiDAR of the
-        first.
+    layout : Layout
+        The plan. Lanes are the nearest to its first LiDAR.
 
     Returns
     -------
@@ -292,11 +293,11 @@ def other_traffic(site: Site, layouts: Sequence[Layout]) -> dict[str, object]:
         no queue is lined up again; ``fleet`` of `_fleet`.
     """
     few, seed = _judging(site), site.scenario.search.seed
-    rows = []
-    for mix in mixes(few, layouts[0][0].xy):
+    rows, errors = [], besides(site.scenario, len(few.holdout))
+    for mix in mixes(few, layout[0].xy):
         changed = [mix.change(few, seed=seed + draw) for draw in range(_DRAWS if mix.is_drawn else 1)]
-        rows.append(mix.told | _coverage(changed, layouts))
-    recorded = _coverage([with_traffic(few, lambda vehicles: vehicles)], layouts)
+        rows.append(mix.told | _coverage(changed, layout, errors))
+    recorded = _coverage([with_traffic(few, lambda vehicles: vehicles)], layout, errors)
     in_place = site.scenario.straight is None
     return {
         "frames": len(few.holdout),
@@ -342,12 +343,12 @@ def _judging(site: Site) -> Site:
     return replace(site, plan=replace(site.plan, **parts), search=(), holdout=tuple(frames[row] for row in kept))
 
 
-def _coverage(draws: Sequence[Site], layouts: Sequence[Layout]) -> dict[str, object]:
+def _coverage(draws: Sequence[Site], layout: Layout, errors: np.ndarray | None) -> dict[str, object]:
     """What is detectable of traffic, all draws of it together, with its interval, and by lane and approach.
 
-    A box is detectable as often as it is from the `layouts`.
+    A box is detectable as often as it is under the installation `errors` of its frame, (f, e, l, 4).
     """
-    boxes = [_boxes(site, layouts, number) for number, site in enumerate(draws) if _counts(site)]
+    boxes = [_boxes(site, layout, errors, number) for number, site in enumerate(draws) if _counts(site)]
     if not boxes:
         return {"draws": len(draws), "boxes": 0, "distinct_vehicles": 0, "detectable_share": None} | {
             "interval_90": None,
@@ -381,15 +382,17 @@ def _counts(site: Site) -> bool:
     return any(frame.counted.any() for frame in site.holdout)
 
 
-def _boxes(site: Site, layouts: Sequence[Layout], draw: int) -> dict[str, np.ndarray]:
+def _boxes(site: Site, layout: Layout, errors: np.ndarray | None, draw: int) -> dict[str, np.ndarray]:
     """The vehicle table of a site's held-out frames, copies under their originals' numbers, detectable as often as
-    from the layouts.
+    under the errors of the frame.
     """
-    tables = vehicle_tables(layouts, holdout=Evaluator(site.holdout, site.observation, site.scoring))
-    return tables[0] | {
-        "detectable": np.mean([table["detectable"] for table in tables], axis=0),
-        "vehicle_id": tables[0]["vehicle_id"] % _copies_from(site),
-        "draw": np.full(len(tables[0]["frame"]), draw),
+    evaluator = Evaluator(site.holdout, site.observation, site.scoring)
+    (table,) = vehicle_tables([layout], holdout=evaluator)
+    if errors is not None:
+        _, (table["detectable"],) = evaluator.under(errors).by_box([layout])
+    return table | {
+        "vehicle_id": table["vehicle_id"] % _copies_from(site),
+        "draw": np.full(len(table["frame"]), draw),
     }
 
 

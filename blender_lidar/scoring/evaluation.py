@@ -221,13 +221,16 @@ class Evaluator:
         return [of_frame for (of_frame,) in found]
 
     def by_box(self, layouts: Sequence[Layout]) -> tuple[np.ndarray, np.ndarray]:
-        """What s layouts add to the objective by each box, and whether it is detectable, (s, n) each, as planned.
+        """What s layouts add to the objective by each box, and whether it is detectable, (s, n) each.
 
-        Boxes are in the order of their frames.
+        Boxes are in the order of their frames. Under installation errors both are means over those of the frame.
         """
-        found = self.under(None)._carried_out(_of_boxes, np.arange(len(self.frames)), layouts, None)
-        objective, detectable = zip(*(of_frame for (of_frame,) in found), strict=True)
-        return np.concatenate(objective, axis=1), np.concatenate(detectable, axis=1)
+        found = self._carried_out(_of_boxes, np.arange(len(self.frames)), layouts, None)
+        if self._errors is None:
+            every = [of_frame for (of_frame,) in found]
+        else:
+            every = [[np.mean(one, axis=0) for one in zip(*of_frame, strict=True)] for of_frame in found]
+        return tuple(np.concatenate(one, axis=1) for one in zip(*every, strict=True))
 
     @property
     def _each(self) -> int:

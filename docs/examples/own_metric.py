@@ -15,10 +15,10 @@ def worst_view(returns):
 
 
 if __name__ == "__main__":  # workers load this file too, and must not search
-    site = bl.load_scene("i80", metric=worst_view, frames=6, particles=5, iterations=8)
+    site = bl.load_scene("i80", metric=worst_view, frames=4, particles=5, iterations=8)
     run = bl.best_mounting(site, progress=True)
     print(run)
 
     # What does the paper's metric make of that mounting, and of its own choice?
-    of_paper = bl.load_scene("i80", frames=6, particles=5, iterations=8)
+    of_paper = bl.load_scene("i80", frames=4, particles=5, iterations=8)
     print(bl.score_mountings(of_paper, [run.mounting, bl.best_mounting(of_paper).mounting]))

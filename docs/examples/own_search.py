@@ -34,6 +34,6 @@ class Evolution:
 
 if __name__ == "__main__":  # workers load this file too, and must not search
     for search in (Evolution, "hardened"):
-        site = bl.load_scene("i80", search=search, frames=6, particles=5, iterations=8)
+        site = bl.load_scene("i80", search=search, frames=4, particles=5, iterations=8)
         run = bl.best_mounting(site, progress=True)
         print(f"{run.result['search']}: {run.result['objective']:.1f} bits, {run.mounting['tilt_x_deg']:.1f} degrees")
