@@ -204,7 +204,8 @@ def _fill_from_file(operator, context, path, *, clip=False):
             places = [place.fixed for place in one.deployment.places]
             fixed = next((of for of in places if (of.get("x_m"), of.get("y_m")) not in taken), places[0])
             taken.add((fixed.get("x_m"), fixed.get("y_m")))
-            pose = changed_mounting(one.baseline, one.road_map, **fixed).pose
+            stands = one.mounting({key: fixed[key] for key in ("x_m", "y_m", "facing_deg") if key in fixed})
+            pose = changed_mounting(stands, one.road_map, **fixed).pose
             found = add_lidar(scene, pose, one.lidar_name or "LiDAR")
         scenarios.fill_lidar(found, tables, folder, scenario, number)
         dress(found, lattice_of(one.sensor))

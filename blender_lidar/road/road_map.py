@@ -226,8 +226,10 @@ class RoadMap:
     @property
     def axis(self) -> np.ndarray | None:
         """Unit vector (2,) along which all lanes go on without ends; None where the road bends or ends."""
+        if not self.endless:
+            return None
         along = _segments(self).along
-        return along[0] if self.endless and np.allclose(along, along[0]) else None
+        return along[0] if np.allclose(along, along[0]) else None
 
     def locate(self, xy: np.ndarray, heading_rad: np.ndarray | None = None) -> Located:
         """Lane, station, offset and direction of travel at places (n, 2) [m].

@@ -29,7 +29,7 @@ from .lidars import (
     sensor_from,
     with_installers,
 )
-from .mounting import MOUNTED, Layout, Mounting, mounting_from
+from .mounting import LEANS, MOUNTED, Layout, Mounting, mounting_from
 from .places import baseline_from, deployment_from
 from .region import region_of
 from .roads import road_from, road_map_from
@@ -205,8 +205,10 @@ class Scenario:
         said = [key for key, value in given.items() if value is not None]
         rivals = {rival for key in said if key in MOUNTING_OR_LEAN for rival in MOUNTING_OR_LEAN[key].rivals}
         rivals |= {"facing_deg"} if self.deployment.faces_road else set()
-        fixed = places[0].fixed.items()
-        return {key: value for key, value in fixed if key in MOUNTING_OR_LEAN and key not in rivals}
+        fixed = places[0].fixed
+        if LEANS[0] not in {*fixed, *said}:  # a direction says nothing without a lean
+            rivals |= set(LEANS)
+        return {key: value for key, value in fixed.items() if key in MOUNTING_OR_LEAN and key not in rivals}
 
     @property
     def files(self) -> dict[tuple[str, str], str]:
