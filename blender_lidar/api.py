@@ -204,7 +204,7 @@ def judge_mounting(site: Site, *, out: str | Path | None = None, **mounting: flo
     site, out
         As for `best_mounting`.
     **mounting : float
-        Its coordinates [m, degrees]; those left out are the baseline's.
+        Its coordinates [m, degrees]; those left out are as the scene fixes them, else its baseline's.
     """
     return _judged(site, (_mounting(site, mounting),), out)
 
@@ -304,7 +304,7 @@ def _rows(table) -> list[Mapping]:
 
 
 def _mounting(site: Site, given: Mapping[str, float], where: str = "mounting") -> Mounting:
-    """The mounting that coordinates give, checked, with the baseline's others."""
+    """The mounting that coordinates give, checked, with the scene's others."""
     if site.scenario.further_lidars:
         names = ", ".join(lidar.name for lidar in site.scenario.lidars)
         raise InputError(f"{where}: is of one LiDAR, but the scene has {names}; allowed: score_layout, judge_layout")

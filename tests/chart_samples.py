@@ -95,7 +95,8 @@ def run_of(seen: dict | None = None, /, *, metric: str = "pe-vgop", **changes: o
     }
     run = RunFolder("nowhere")
     run.result = result | changes
-    run.baseline, run.optimised = (table(1), table(2)) if seen is None else (seen, seen)
+    tables = (table(1), table(2)) if seen is None else (seen, seen)
+    run.baseline, run.optimised = ({"split": np.full(len(one["detectable"]), "search"), **one} for one in tables)
     return run
 
 

@@ -19,6 +19,7 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.vehicles import CLASSES
+from blender_lidar.world.meshes import SURFACES
 from tests.sample_traffic import dense_traffic, scan
 
 pytestmark = pytest.mark.versions
@@ -55,7 +56,7 @@ def test_npz_holds_the_columns_and_units_of_the_contract(tmp_path):
     with np.load(tmp_path / "cloud.npz", allow_pickle=False) as content:
         assert set(content.files) == {
             *("xyz", "range_m", "ring", "azimuth_deg", "time_s", "vehicle_id", "class", "incidence_deg"),
-            *("intensity", "header"),
+            *("intensity", "surface", "header"),
         }
         np.testing.assert_array_equal(content["xyz"], CLOUD.xyz)
         for name in ("range_m", "ring", "time_s", "vehicle_id", "intensity"):
@@ -65,6 +66,7 @@ def test_npz_holds_the_columns_and_units_of_the_contract(tmp_path):
         np.testing.assert_allclose(np.radians(content["incidence_deg"]), CLOUD.incidence_rad)
         names = ["" if index < 0 else CLASSES[index] for index in CLOUD.class_index]
         assert content["class"].tolist() == names
+        assert content["surface"].tolist() == [SURFACES[number] for number in CLOUD.surface]
         assert json.loads(str(content["header"])) == HEADER
 
 

@@ -188,7 +188,7 @@ def test_a_study_leaves_a_verdict_on_every_line_and_one_that_was_stopped_comes_t
     for heading in HEADINGS.values():
         assert f"\n{heading}\n" in out
         assert f"\n{heading}: " in out
-    assert "hardened, seed 1, on 3 of the frames" in " ".join(out.split())
+    assert "as optimise answers, seed 1" in " ".join(out.split())
     for stage in sorted((run / "stages").glob("*.json"))[1::3]:
         stage.unlink()
     (run / "stability.json").unlink()

@@ -48,8 +48,9 @@ def write_pages(site: Site, run: RunFolder, tell: Callable[[str], object]) -> li
         charts = draw_charts(site, run)
     except MissingExtraError as error:
         tell(f"no charts: {error}")
+    there = [path.name for path in run.path.glob("*.png")]
     for one, (name, result) in zip(site.each, each_lidar(run.result).items(), strict=True):
-        write_text(run.file(of_lidar(INSTALLATION, name)), installation_text(one, result, charts))
+        write_text(run.file(of_lidar(INSTALLATION, name)), installation_text(one, result, there))
     write_report(run)
     return charts
 

@@ -152,7 +152,7 @@ def add_moments(parser: argparse.ArgumentParser, many: str) -> None:
 def add_pose(parser: argparse.ArgumentParser, *, on_poles: bool = True) -> None:
     """The coordinates of one mounting, on a candidate pole or not: the orientation by tilts and yaw, or by its lean."""
     group = parser.add_argument_group(
-        "mounting", "coordinates that are not given are as a [[lidar]] fixes them, else the baseline's"
+        "mounting", "coordinates that are not given are as the scene fixes them, else its baseline's"
     )
     if on_poles:
         said = "candidate pole of the scene on which the LiDAR hangs"

@@ -187,7 +187,7 @@ class Scenario:
     def mounting(self, table: Mapping[str, float | None], where: str = "mounting") -> Mounting:
         """The mounting that some coordinates give [m, degrees]: see `mounting_from`.
 
-        Others are as the one place of a [[lidar]] fixes them, else the baseline's.
+        Others are as [deployment] or [[lidar]] fixes them, where that is one place, else the baseline's.
         """
         table = self._fixed(table) | table
         moved = any(table.get(key) is not None for key in ("x_m", "y_m"))
@@ -198,9 +198,9 @@ class Scenario:
         return mounting_from(table, self.road_map, self.baseline, where)
 
     def _fixed(self, given: Mapping[str, float | None]) -> dict[str, float]:
-        """What the one place of a [[lidar]] fixes, without what would contradict coordinates that are given."""
+        """What the one place fixes, without what would contradict coordinates that are given."""
         places = self.deployment.places
-        if not self.lidar_name or len(places) > 1:
+        if len(places) > 1:
             return {}
         said = [key for key, value in given.items() if value is not None]
         rivals = {rival for key in said if key in MOUNTING_OR_LEAN for rival in MOUNTING_OR_LEAN[key].rivals}
