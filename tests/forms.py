@@ -6,9 +6,12 @@ All scenes see the same vehicles on the same two lanes along x, whatever kind of
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Mapping, Sequence
+from copy import deepcopy
 from itertools import combinations, product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -88,10 +91,37 @@ def _pairs(row: Mapping[str, str], names: Sequence[str]) -> list[tuple]:
     return [((first, row[first]), (second, row[second])) for first, second in combinations(there, 2)]
 
 
+class Motion(NamedTuple):
+    """A site that lies elsewhere: mirrored at its x axis or not, then turned, and in its map moved by `map_m` [m]."""
+
+    turn_deg: float = 0.0
+    mirrored: bool = False
+    map_m: tuple[float, float] = (0.0, 0.0)
+
+    def site(self, xy: object) -> np.ndarray:
+        """Places (..., 2) of the site frame [m]."""
+        turn = math.radians(self.turn_deg)
+        x, y = np.moveaxis(np.asarray(xy, dtype=float), -1, 0)
+        y = -y if self.mirrored else y
+        return np.stack([x * math.cos(turn) - y * math.sin(turn), x * math.sin(turn) + y * math.cos(turn)], axis=-1)
+
+    def map(self, xy: object) -> np.ndarray:
+        """The same in the map's frame."""
+        return self.site(xy) + self.map_m
+
+    def heading(self, degrees: float) -> float:
+        return (-degrees if self.mirrored else degrees) + self.turn_deg
+
+
+AS_IT_LIES = Motion()
+
+
 # --- Traffic and roads ------------------------------------------------------------------------------------------------
 
 
-def traffic(form: Mapping[str, str], frames: int = 40, vehicles: int = 70) -> list[list[object]]:
+def traffic(
+    form: Mapping[str, str], motion: Motion = AS_IT_LIES, frames: int = 40, vehicles: int = 70
+) -> list[list[object]]:
     """Rows of a table: vehicles at 10 m/s on the two lanes, and the other way on two more of a road of two ways."""
     rng, rows = np.random.default_rng(5), []
     sizes = {"car": (4.4, 1.8, 1.5), "van": (5.2, 2.0, 1.9), "truck": (9.0, 2.5, 3.6)}
@@ -104,8 +134,9 @@ def traffic(form: Mapping[str, str], frames: int = 40, vehicles: int = 70) -> li
         x, y = (along if heading == 0.0 else -along), lanes[number % 2]
         if abs(x) < 45.0:
             identity = way * vehicles + number
+            x, y = motion.map((x, y)).tolist()
             place = x0 + x * cos - y * sin, y0 + x * sin + y * cos
-            said = [round(place[0], 4), round(place[1], 4), *sizes[kinds[identity]], heading + math.degrees(turn)]
+            said = [*place, *sizes[kinds[identity]], motion.heading(heading) + math.degrees(turn)]
             rows.append([frame, identity + 1, kinds[identity], *said, _STEP_S * frame, 1 + number % 2])
     return rows
 
@@ -240,13 +271,53 @@ def lidars(form: Mapping[str, str]) -> list[dict[str, object]]:
     return [{"name": name, **stand} for name, stand in zip(("west", "east"), stands, strict=False)]
 
 
-def write_form(folder: Path, form: Mapping[str, str]) -> Path:
+def _moved_net(motion: Motion) -> str:
+    """The net's places, pairs "x,y" of its shapes, moved."""
+
+    def moved(pair: re.Match) -> str:
+        return "{!r},{!r}".format(*motion.map((float(pair[1]), float(pair[2]))).tolist())
+
+    return re.sub(r"(?<=[\" ])(-?[\d.]+),(-?[\d.]+)(?=[\" ])", moved, _net())
+
+
+def _moved_opendrive(motion: Motion, rise: float) -> str:
+    """The map's reference lines moved."""
+
+    def moved(line: re.Match) -> str:
+        x, y = motion.map((float(line[1]), float(line[2]))).tolist()
+        return f'x="{x!r}" y="{y!r}" hdg="{math.radians(motion.turn_deg)!r}"'
+
+    return re.sub(r'x="([^"]+)" y="([^"]+)" hdg="0"', moved, _opendrive(rise))
+
+
+def _moved_tables(tables: dict, motion: Motion) -> None:
+    """Move what a scene says in its site frame: region, boxes and where LiDARs hang; in place."""
+    region = tables["region"]
+    for key in ("centre_m", "polygon_m"):
+        if key in region:
+            region[key] = motion.site(region[key]).tolist()
+    for box in tables.get("world", {}).get("boxes", ()):
+        box["centre_m"] = [*motion.site(box["centre_m"][:2]).tolist(), box["centre_m"][2]]
+        box["heading_deg"] = motion.heading(0.0)
+    for stand in (*tables.get("lidar", ()), tables.get("deployment", {})):
+        if "x_m" in stand:
+            stand["x_m"], stand["y_m"] = motion.site((stand["x_m"], stand["y_m"])).tolist()
+        if motion.mirrored and "lean_direction_deg" in stand:
+            stand |= {key: -stand[key] for key in ("lean_direction_deg", "spin_deg")}
+    if motion.map_m != (0.0, 0.0):
+        tables["road"]["origin_m"] = list(motion.map_m)
+
+
+def write_form(folder: Path, form: Mapping[str, str], motion: Motion = AS_IT_LIES, **changes: Mapping) -> Path:
     """Write a scene in some forms, and the files that it names but for Blender's; returns scene.toml."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_table(folder / "traffic.csv", traffic(form), _HEADER)
-    (folder / "site.net.xml").write_text(_net(), encoding="utf-8")
-    (folder / "site.xodr").write_text(_opendrive(0.02 if form["road"] == "heights" else 0.0), encoding="utf-8")
-    (folder / "poles.csv").write_text("name,x_m,y_m\nnorth,-6,-0.6\nmiddle,1.5,-0.8\nsouth,7,-0.7\n", encoding="utf-8")
+    write_table(folder / "traffic.csv", traffic(form, motion), _HEADER)
+    (folder / "site.net.xml").write_text(_moved_net(motion), encoding="utf-8")
+    rise = 0.02 if form["road"] == "heights" else 0.0
+    (folder / "site.xodr").write_text(_moved_opendrive(motion, rise), encoding="utf-8")
+    poles = {"north": (-6.0, -0.6), "middle": (1.5, -0.8), "south": (7.0, -0.7)}
+    lines = ["{},{!r},{!r}".format(name, *motion.site(place).tolist()) for name, place in poles.items()]
+    (folder / "poles.csv").write_text("\n".join(["name,x_m,y_m", *lines, ""]), encoding="utf-8")
     corners = np.array([(x, y, z) for x in (-6.5, -3.5) for y in (10.1, 11.1) for z in (0.0, 3.0)])
     quads = (1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)
     lines = [f"v {x} {y} {z}" for x, y, z in corners] + ["f " + " ".join(map(str, quad)) for quad in quads]
@@ -272,6 +343,13 @@ def write_form(folder: Path, form: Mapping[str, str]) -> Path:
     else:
         tables["lidar"] = stands
         tables["search"] = {"particles": 6, "iterations": 30}
+    tables = {
+        name: {**tables.get(name, {}), **changes.get(name, {})} if name != "lidar" else tables[name]
+        for name in {**tables, **changes}
+    }
+    if motion != AS_IT_LIES:
+        tables = deepcopy(tables)
+        _moved_tables(tables, motion)
     path = folder / "scene.toml"
     path.write_text(to_toml(tables), encoding="utf-8")
     return path

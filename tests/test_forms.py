@@ -1,9 +1,14 @@
-"""Forms in pairs: small scenes that between them put every two forms of a scene together, through every verb."""
+"""Forms in pairs: small scenes that between them put every two forms of a scene together, through every verb.
+
+`python -m tests.test_forms --write` computes their golden values anew. Do so only where numbers are meant to change.
+"""
 
 from __future__ import annotations
 
+import argparse
 import csv
 import json
+import tempfile
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -28,6 +33,7 @@ pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 FORMS = covering(FACTORS, {*REFUSED, *NO_ROAD_HAS})
 IDS = ["-".join(form.values()) for form in FORMS]
+GOLDEN = Path(__file__).with_name("golden_forms.json")
 needs_bpy = pytest.mark.skipif(not is_available("bvh"), reason="needs bpy")
 
 
@@ -135,6 +141,21 @@ def test_a_scene_written_out_is_the_scene(formed):
     assert (formed.folder / "scene.toml").exists()
 
 
+def told_of(run: RunFolder) -> dict[str, object]:
+    """Golden values of a run: returns and occupancy of each vehicle, and which are detectable."""
+    rows = rows_of(run.file("vehicles.csv"))
+    shares = [round(sum(float(row[f"p_{side}"]) for side in ("top", "side", "front")), 6) for row in rows]
+    detectable = "".join(row["detectable"] for row in rows)
+    return {"points": [int(row["points"]) for row in rows], "occupancy": shares, "detectable": detectable}
+
+
+def test_every_vehicle_is_seen_as_it_was(formed, evaluated):
+    golden, found = json.loads(GOLDEN.read_text(encoding="utf-8"))["-".join(formed.form.values())], told_of(evaluated)
+    assert found["points"] == golden["points"]
+    assert found["detectable"] == golden["detectable"]
+    assert found["occupancy"] == pytest.approx(golden["occupancy"], abs=2e-6)
+
+
 def test_python_judges_as_the_command_line_does(formed, evaluated):
     site, given = bl.load_scene(formed.path), formed.coordinates()
     run = bl.judge_mounting(site, **given[""]) if "" in given else bl.judge_layout(site, **given)
@@ -235,3 +256,23 @@ def test_evaluate_scores_what_optimise_answers(formed, capsys):
     assert found["holdout"] == again["holdout"]
     rows = [(formed.folder / name / "vehicles.csv").read_bytes() for name in ("searched", "again")]
     assert rows[0] == rows[1]
+
+
+def write() -> None:
+    """Write the golden values of all forms."""
+    found = {}
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        without_charts(patch)
+        for name, form in zip(IDS, FORMS, strict=True):
+            formed = Formed(form, Path(folder) / name)
+            assert main(["evaluate", str(formed.path), *formed.words(), "--out", str(formed.folder / "run")]) == 0
+            found[name] = told_of(RunFolder(formed.folder / "run"))
+    lines = (f"{json.dumps(name)}: {json.dumps(one, separators=(',', ':'))}" for name, one in found.items())
+    GOLDEN.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--write", action="store_true", required=True)
+    parser.parse_args()
+    write()
