@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,6 +27,7 @@ from blender_lidar.optimise.multi_fidelity import (
 from blender_lidar.run.searches import screening
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.scoring.fidelity import (
     Fidelity,
     coarse_observation,
@@ -310,3 +312,25 @@ def test_no_more_go_on_than_may_and_the_best_is_always_among_them():
         ):
             assert len(kept) == len(set(kept.tolist())) <= 5
             assert kept[0] == objective.sum(axis=1).argmax()
+
+
+def test_on_a_circle_two_candidates_beside_its_seam_are_one_peak():
+    x, values = np.array([[0.001], [0.999], [0.5]]), np.array([3.0, 2.9, 1.0])
+    assert peaks(x, values).tolist() == [0, 1, 2]
+    assert peaks(x, values, np.array([True])).tolist() == [0, 2]
+    assert diverse(x, values, 2, 0.1, periodic=np.array([True])) == [0, 2]
+
+
+@pytest.mark.parametrize("metric", ["view-coverage", "voxel-entropy-0.1"])
+def test_cells_of_a_metrics_own_grow_with_thinned_beams(metric, tmp_path):
+    site = prepare(load_scenario(write_scene(tmp_path), {("objective", "metric"): (metric, "here")}))
+    layouts = [
+        (site.scenario.mounting({"height_m": h, "tilt_x_deg": t}),) for h in (2.5, 4.4) for t in (2.0, 10.0, 20.0)
+    ]
+    with Evaluator(site.search, site.observation, site.scoring) as evaluator:
+        full = evaluator.totals(layouts).per_vehicle()
+        thinned = evaluator.totals(layouts, fidelity=Fidelity("body", 4)).per_vehicle()
+        fixed = replace(coarse_observation(site.observation, Fidelity("body", 4)), cell_growth=1.0)
+    with Evaluator(site.search, fixed, site.scoring) as evaluator:
+        as_they_are = evaluator.totals(layouts).per_vehicle()
+    assert np.corrcoef(full, thinned)[0, 1] > np.corrcoef(full, as_they_are)[0, 1]

@@ -25,6 +25,7 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic.vehicles import CLASSES
+from blender_lidar.world.meshes import SURFACES
 from tests.sample_traffic import dense_traffic, scan
 from tests.small_scene import write_scene
 
@@ -219,3 +220,22 @@ def test_scan_writes_a_folder_for_sustechpoints(tmp_path):
     assert main([*words, "--format", "sustechpoints", "--out", str(tmp_path / "scene")]) == 0
     found = sorted(path.relative_to(tmp_path / "scene").as_posix() for path in (tmp_path / "scene").rglob("*.*"))
     assert found == ["label/000020.json", "label/000030.json", "lidar/000020.pcd", "lidar/000030.pcd"]
+
+
+def test_scenery_is_labelled_by_what_it_is_and_never_road(tmp_path):
+    surface = np.where(CLOUD.vehicle_id >= 0, CLOUD.surface, np.arange(len(CLOUD)) % len(SURFACES))
+    cloud = replace(CLOUD, surface=surface.astype(np.uint8))
+    write_cloud(tmp_path / "c.bin", cloud, HEADER)
+    label = np.fromfile(tmp_path / "c.label", dtype=np.uint32) & 0xFFFF
+    expected = {"road": 40, "building": 50, "vegetation": 70, "structure": 52, "person": 30}
+    for name, number in expected.items():
+        rows = (cloud.vehicle_id < 0) & (surface == SURFACES.index(name))
+        assert rows.any()
+        assert (label[rows] == number).all(), name
+    pytest.importorskip("laspy")
+    import laspy
+
+    write_cloud(tmp_path / "c.las", cloud, HEADER)
+    classes = np.asarray(laspy.read(tmp_path / "c.las").classification)
+    for name, number in {"road": 11, "building": 6, "vegetation": 5, "structure": 1, "person": 1}.items():
+        assert (classes[(cloud.vehicle_id < 0) & (surface == SURFACES.index(name))] == number).all(), name

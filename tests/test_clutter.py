@@ -156,3 +156,11 @@ def test_scores_see_vehicles_behind_clutter_and_walkers_as_clouds_do(compiled, s
             frame_scorer.singles([mount.pose])
         )
         np.testing.assert_array_equal(seen.points[0], expected)
+
+
+def test_moments_share_what_stands_and_its_tree(sites):
+    standing = next(site.observation.scenery for site in sites if site.observation.scenery is not None)
+    one, other = standing.at(3.0), standing.at(4.0)
+    assert one.parts[0].tree is other.parts[0].tree
+    assert np.shares_memory(one.scenery.corners, other.scenery.corners)
+    assert one.with_walkers.digest != other.with_walkers.digest

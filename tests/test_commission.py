@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import tomllib
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,16 +14,19 @@ import pytest
 
 from blender_lidar.clouds.files import read_grid, write_pcd
 from blender_lidar.clouds.scan import PointCloud
-from blender_lidar.commands.commission import unit_table
+from blender_lidar.commands.commission import deployment, unit_table
 from blender_lidar.detection.judge import sensor_at
 from blender_lidar.errors import InputError
 from blender_lidar.scene.mounting import changed_mounting, mounting_from
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
+from blender_lidar.scoring.evaluation import site_evaluator
 from blender_lidar.sensors.beams import beam_directions
 from blender_lidar.sensors.identify import elevations, identify_sensor, nearest_ring
 from blender_lidar.sensors.model import load_model, model_names, unit_of
-from blender_lidar.studies.commission import commission
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.studies.commission import against_plan, commission
+from blender_lidar.studies.road_fit import Estimate
 from blender_lidar.toml_table import read_toml
 from tests.refusals import refused
 from tests.small_scene import cli
@@ -447,3 +451,42 @@ def test_organised_clouds_keep_their_columns(tmp_path):
     np.testing.assert_allclose(read_grid(tmp_path / "grid.pcd"), grid)
     write_pcd(tmp_path / "plain.pcd", PointCloud(np.zeros((4, 3)), *np.zeros((9, 4))), {})
     assert read_grid(tmp_path / "plain.pcd") is None
+
+
+def test_beside_a_plan_detectable_shares_count_boxes_whatever_these_weigh():
+    """With cars of a fifth of the weight the planned share was 190 %."""
+    site = prepare(
+        load_scenario(
+            "i80",
+            {
+                ("traffic", "frames"): (4, "here"),
+                ("model", "workers"): (1, "here"),
+                ("objective", "class_weights"): ({"car": 0.2}, "here"),
+            },
+        )
+    )
+    planned = site.scenario.mounting({"height_m": 4.5, "tilt_x_deg": 23.0})
+    known = {"height_m": 4.5, "tilt_x": math.radians(23.0), "tilt_y": 0.0}
+    fit = SimpleNamespace(
+        pose=Pose(0.0, 0.0, 4.5, math.radians(23.0), 0.0, 0.0),
+        yaw=None,
+        **{key: Estimate(value, 0.001, 0.001) for key, value in known.items()},
+    )
+    found = against_plan(site, (planned,), 0, fit)["detectable_share"]
+    with site_evaluator(site, site.search, site.holdout) as evaluator:
+        totals = evaluator.held_out.totals([(planned,)])
+    assert found["planned"] == found["measured"] == pytest.approx(totals.detectable.sum() / totals.vehicles.sum())
+    assert found["planned"] < 1.0
+
+
+def test_a_sensor_file_of_ones_own_is_found_again_and_keeps_its_sector(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    beams = "beams=[[0,-10.0,0.0,0.0],[1,-5.0,0.0,0.0],[2,0.0,0.0,0.0]]\n"
+    (tmp_path / "mine.toml").write_text(f"rotation_hz=[10.0]\nazimuth_deg=[-60.0, 60.0]\n{beams}")
+    model = load_model(tmp_path / "mine.toml")
+    pose = Pose(0.0, 0.0, 4.0, 0.0, 0.0, 0.0)
+    found = SimpleNamespace(model=model, unit_rad=model.elevation_rad, fit=SimpleNamespace(pose=pose, yaw=None))
+    (tmp_path / "beams.toml").write_text(unit_table(found))
+    named = load_model(tomllib.loads(deployment(found))["sensor"]["name"])
+    assert named.azimuth_deg == model.azimuth_deg == (-60.0, 60.0)
+    np.testing.assert_allclose(named.elevation_rad, model.elevation_rad)

@@ -13,7 +13,7 @@ from blender_lidar.run.what_if import other_traffic
 from blender_lidar.scene.directions import pointing
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from tests.small_scene import mounting, write_scene
+from tests.small_scene import done, mounting, without_charts, write_scene
 
 MOUNT = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.0, "tilt_x_deg": 15.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
 NO_INTERVAL = {"boxes": 40, "distinct_vehicles": 20} | dict.fromkeys(
@@ -210,3 +210,9 @@ def test_the_sheet_says_where_zero_azimuth_and_the_cable_opposite_it_face(sheet,
 def test_the_sheet_names_the_region_that_the_mounting_was_planned_for(sheet):
     assert "vehicles within 20 m of x 0 m, y 0 m" in sheet()
     assert "within 12 m of x 1 m, y 5 m" in sheet({"region": {"centre_m": [1.0, 5.0], "radius_m": 12.0}})
+
+
+def test_the_sheet_names_a_chart_only_where_it_was_drawn(tmp_path, monkeypatch, capsys):
+    without_charts(monkeypatch)
+    done(capsys, "evaluate", write_scene(tmp_path), "--out", tmp_path / "run")
+    assert "blind_zones.png" not in (tmp_path / "run" / "installation.txt").read_text(encoding="utf-8")

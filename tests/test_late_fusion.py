@@ -298,3 +298,11 @@ def test_mountings_that_are_none_of_the_layout_are_refused_in_one_line(words, to
 
 def test_joined_boxes_of_no_lidar_are_none():
     assert len(late_fusion([])) == len(join_boxes([])) == 0
+
+
+def test_what_a_detector_finds_beside_the_baseline_has_its_interval():
+    of = {"recall_0.3": 0.8, "precision_0.3": 0.9, "with_return": 1.0}
+    over = {"recall_0.3": {"difference": 0.05, "interval_90": [-0.02, 0.12]}}
+    mountings = {"baseline": {"recall_0.3": 0.75}, "given": {**of, "over_baseline": over}}
+    text = detection_text({"mountings": mountings, "frames": 4})
+    assert "80.0 % of the vehicles instead of 75.0 % under the baseline, +5.0 points (-2.0 to +12.0)" in text

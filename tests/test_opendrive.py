@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError, MissingFileError
+from blender_lidar.road.approaches import approach_spans, ends_of
 from blender_lidar.road.opendrive import read_opendrive
+from blender_lidar.road.road_map import Flat, Junction, Lane, RoadMap
 
 pytestmark = pytest.mark.versions
 
@@ -381,3 +383,77 @@ def test_real_roads_lie_where_pyxodr_has_them_and_drive_the_same_way(name, step_
             assert first < last
             compared += 1
     assert compared >= len(found)
+
+
+def test_an_approach_is_measured_from_its_stop_line_where_its_lanes_split(read):
+    """A turn pocket of 30 m before the stop line at 230 m: the last 50 m begin at 180 m on the lane before both."""
+    link = element("predecessor", id=-1)
+    lanes = section(lane(-1, links=element("successor", id=-1))) + section(
+        lane(-1, links=link), lane(-2, links=link), s=200.0
+    )
+    ends = element("successor", elementType="junction", elementId="J")
+    across = element("predecessor", elementType="road", elementId=1, contactPoint="end")
+    both = "".join(element("laneLink", **{"from": f"-{k}", "to": f"-{k}"}) for k in (1, 2))
+    found = read(
+        road(1, LINE, lanes, line=plan(("<line/>", 230.0)), links=ends, length=230.0),
+        road(
+            10,
+            LINE,
+            section(lane(-1), lane(-2)),
+            line=plan(("<line/>", 20.0), x=230.0),
+            links=across,
+            length=20.0,
+            junction="J",
+        ),
+        element(
+            "junction",
+            element("connection", both, id=0, incomingRoad=1, connectingRoad=10, contactPoint="start"),
+            id="J",
+        ),
+    )
+    spans = approach_spans(found, "1 forward", 50.0, "here")
+    stations = {found.lanes[row].name: ends for row, ends in spans.items()}
+    assert stations["1.1:-1"] == stations["1.1:-2"] == pytest.approx((0.0, 30.0), abs=1e-3)
+    assert stations["1.0:-1"] == pytest.approx((180.0, 200.0), abs=1e-3)
+    assert len(stations) == 3
+    begins, ends = ends_of(found, "1 forward")
+    assert (begins, ends) == (0.0, 0.0)
+
+
+def test_an_approach_goes_on_across_a_junction_between_by_the_length_of_that():
+    """Lanes of 30 and 40 m with 8 m of a junction between them: 60 m from the stop line begin 18 m into the first."""
+    line = [np.array([(a, 0.0), (b, 0.0)]) for a, b in ((0.0, 40.0), (40.0, 48.0), (48.0, 78.0), (78.0, 90.0))]
+    lanes = (
+        Lane("in", "in", "", (1,)),
+        Lane(":m", ":m", "m", (2,)),
+        Lane("on", "on", "", (3,)),
+        Lane(":j", ":j", "j", ()),
+    )
+    outlines = [
+        Junction(name, np.array([(x, -3.0), (x + 8, -3.0), (x + 8, 3.0), (x, 3.0)]))
+        for name, x in (("m", 40.0), ("j", 78.0))
+    ]
+    zero = np.zeros(4)
+    found = RoadMap(
+        tuple(line), zero, zero, np.full(4, 3.5), np.zeros(4, bool), Flat(), lanes=lanes, junctions=tuple(outlines)
+    )
+    spans = approach_spans(found, "on", 60.0, "here")
+    assert spans == {2: (0.0, 30.0), 1: (0.0, 8.0), 0: pytest.approx((18.0, 40.0))}
+    assert Flat().triangles((0.0, 0.0), 10.0).shape == (0, 3, 3)
+
+
+def test_a_mast_in_a_junction_without_lanes_stands_on_the_road():
+    lanes = (Lane("in", "in", "", (1,)), Lane("out", "out", "", ()))
+    line = [np.array([(0.0, 0.0), (40.0, 0.0)]), np.array([(60.0, 0.0), (90.0, 0.0)])]
+    junction = Junction("j", np.array([(40.0, -10.0), (60.0, -10.0), (60.0, 10.0), (40.0, 10.0)]))
+    two = np.zeros(2)
+    found = RoadMap(
+        tuple(line), two, two, np.full(2, 3.5), np.zeros(2, bool), Flat(), lanes=lanes, junctions=(junction,)
+    )
+    assert found.within(np.array([(50.0, 5.0), (50.0, 12.0), (20.0, 0.0)])).tolist() == [True, False, True]
+
+
+def test_edges_across_a_tapering_lane_are_where_it_is_as_wide(read):
+    found = read(road(lanes=section(lane(-1, (0.0, 2.0, 0.02)))))
+    right, left = found.edges_across((50.0, -1.0))
+    assert (right[1], left[1]) == (pytest.approx(-3.0, abs=0.02), pytest.approx(0.0, abs=0.02))

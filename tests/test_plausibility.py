@@ -446,3 +446,39 @@ def test_scans_stop_too_and_tell_what_is_accepted(tmp_path, capsys):
     words = "scan", scene, "--frame", 3, "--out", tmp_path / "cloud.npz"
     assert cli(capsys, *words)[0] == 2
     assert done(capsys, *words, "--accept", "headings")[0].startswith("Warning, accepted (headings): ")
+
+
+def test_a_queue_on_a_street_oblique_to_a_maps_x_is_no_camera_that_drifts(tmp_path):
+    angle, rows = math.radians(10.0), []
+    for number in range(8):  # that crawls at 1 m/s
+        for frame in range(0, 900, 2):
+            s = -15.0 + 0.1 * frame - 7.5 * number
+            place = s * math.cos(angle), s * math.sin(angle)
+            rows.append([frame, number + 1, "car", *place, 4.5, 1.8, 1.5, 10.0, 0.1 * frame])
+    for number in range(30):
+        for frame in range(0, 100, 2):
+            if (later := frame + 30 * number) < 900:
+                rows.append([later, 100 + number, "car", 10.0, -50.0 + frame, 4.5, 1.8, 1.5, 90.0, 0.1 * later])
+    write_table(tmp_path / "p.csv", rows)
+    settings = {
+        "traffic": {"path": str(tmp_path / "p.csv"), "frames": 4, "holdout": 0.0, "accept": ["overlaps", "time-step"]},
+        "road": {"driven": True},
+        "region": {"centre_m": [0.0, 0.0], "radius_m": 40.0},
+        "deployment": {"x_m": -10.0, "y_m": 20.0},
+        "model": {"workers": 1},
+    }
+    assert "drift" not in dict(bl.load_scene(settings).recording.report.warnings)
+
+
+def test_where_nobody_drives_a_map_is_not_told_of_a_straight_roads_keys(tmp_path):
+    write_table(tmp_path / "p.csv", traffic_rows())
+    settings = {
+        "traffic": {"path": str(tmp_path / "p.csv"), "frames": 4, "holdout": 0.0},
+        "road": {"driven": True},
+        "region": {"centre_m": [0.0, 60.0], "radius_m": 20.0},
+        "deployment": {"x_m": 0.0, "y_m": -3.0},
+        "model": {"workers": 1},
+    }
+    with pytest.raises(InputError, match=r"check \[traffic\] origin_m and heading_deg, and \[region\]") as caught:
+        bl.load_scene(settings)
+    assert "setback_m" not in str(caught.value)

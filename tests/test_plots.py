@@ -6,7 +6,7 @@ import math
 import pickle
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ import pytest
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.report import figure as canvas
 from blender_lidar.report.cloud_figures import plot_clouds, plot_detections, plot_occupancy
-from blender_lidar.report.coverage_figures import plot_blind_zones
+from blender_lidar.report.coverage_figures import plot_blind_zones, plot_reach
 from blender_lidar.report.run_figures import (
     FEWEST_VEHICLES,
     plot_by_distance,
@@ -327,3 +327,17 @@ def test_nothing_of_a_run_that_holds_nothing_out_speaks_of_held_out_frames(tmp_p
     pages = [(tmp_path / "run" / name).read_text(encoding="utf-8") for name in ("report.html", "installation.txt")]
     for text in (out, *pages):
         assert ("held-out" in text) == bool(holdout)
+
+
+@pytest.mark.parametrize(
+    "plot", [plot_by_distance, partial(plot_blind_zones, road=ROAD), partial(plot_reach, road=ROAD)]
+)
+def test_charts_of_coverage_show_the_frames_that_judge_alone(plot, tmp_path, figures):
+    split = np.where(np.arange(200) % 2 == 0, "search", "holdout")
+    both = {**table(1), "split": split}
+    judged = {key: column[split == "holdout"] for key, column in both.items()}
+    holdout = {"vehicles": 100, "frames": 3}
+    for name, seen in (("a.png", both), ("b.png", judged)):
+        plot(tmp_path / name, run_of(seen, holdout=holdout))
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert "100 vehicle boxes in 3 held-out frames" in words(figures[0])

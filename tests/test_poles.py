@@ -25,6 +25,7 @@ from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
 from blender_lidar.statistics import many_to_one_reach_90, resampled_weights, student_t
 from blender_lidar.studies.candidates import at_one_place
+from blender_lidar.toml_table import read_toml, to_toml
 from tests.refusals import refused
 from tests.sample_traffic import one_vehicle
 from tests.small_scene import REGION, cli, done, mounting, without_charts, without_times, write_scene
@@ -364,3 +365,18 @@ def test_a_pole_on_the_far_side_that_faces_the_road_is_searched_and_scored_from_
         assert again["deployment"]["facing_deg"] == (90.0 if pole["name"] == "near" else 270.0)
         assert again["objective_per_vehicle"] == pytest.approx(pole["objective_per_vehicle"], rel=1e-9)
         assert again["detectable_share"] > 0.5
+
+
+@pytest.mark.parametrize("form", ["short", "named"])
+def test_a_mounting_that_is_not_given_is_as_its_scene_fixes_it(form, tmp_path):
+    hung = {"height_m": 4.1, "tilt_x_deg": 19.0, "installer": False}
+    path = write_scene(tmp_path, {"deployment": hung})
+    if form == "named":
+        tables = read_toml(path)
+        tables["lidar"] = [{"name": "only", **tables.pop("deployment")}]
+        path.write_text(to_toml(tables), encoding="utf-8")
+    scenario = load_scenario(path)
+    for given in ({}, {"height_m": 3.0}):
+        table = scenario.mounting(given).as_table()
+        assert (table["height_m"], table["tilt_x_deg"]) == (given.get("height_m", 4.1), pytest.approx(19.0))
+    assert scenario.mounting({"lean_deg": 5.0}).as_table()["lean_deg"] == pytest.approx(5.0)

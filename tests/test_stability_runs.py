@@ -230,3 +230,15 @@ def test_fewer_frames_are_not_so_few_that_they_are_empty(site):
     sparse = replace(site, search=(site.search[0], *empty))
     assert study.with_fewer_frames(sparse, 2) is sparse
     assert len(study.with_fewer_frames(site, 2).search) == 2
+
+
+def test_a_study_judges_what_optimise_answers(tmp_path, capsys, monkeypatch):
+    without_charts(monkeypatch)
+    scene = write_scene(tmp_path, {**MAPPED, "search": {"particles": 6, "iterations": 4}})
+    done(capsys, "optimise", scene, "--out", tmp_path / "run")
+    answer = json.loads((tmp_path / "run" / "result.json").read_text())["deployment"]
+    done(capsys, "stability", scene, "--quick", "--out", tmp_path / "study")
+    found = json.loads((tmp_path / "study" / "stability.json").read_text())["mounting"]
+    assert {key: found[key] for key in ("height_m", "tilt_x_deg")} == {
+        key: pytest.approx(answer[key]) for key in ("height_m", "tilt_x_deg")
+    }

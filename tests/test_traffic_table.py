@@ -497,3 +497,18 @@ def test_ids_that_the_encoding_garbles_are_not_taken_for_one_another(tmp_path):
     path = write(tmp_path, HEADER, rows)
     path.write_bytes(path.read_text(encoding="utf-8").encode("cp1252"))
     assert "in another encoding than the file's beginning; save it as UTF-8" in refused(path)
+
+
+def test_runs_of_a_tgsim_file_that_are_left_out_are_named(tmp_path):
+    header = "id,time,xloc-kf,yloc-kf,lane-kf,length-smoothed,width-smoothed,type-most-common,run-index"
+    rows = [
+        f"{number + 10 * run},{0.1 * k + 100 * run},{10 * k + 30 * number},3.5,1,4.5,1.8,small-vehicle,{run}"
+        for run in (1, 2)
+        for number in range(5)
+        for k in range(20)
+    ]
+    (tmp_path / "tg.csv").write_text("\n".join([header, *rows]))
+    found = read_traffic(tmp_path / "tg.csv", format="tgsim")
+    assert len(found) == 100
+    assert found.report.rows_read == 200
+    assert any("2 runs found (run-index 1, 2); the first is used" in note for note in found.report.notes)

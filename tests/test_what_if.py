@@ -461,3 +461,22 @@ def test_where_the_height_lies_on_its_bound_the_next_metre_is_told_on_terminal_a
         assert said in " ".join(out.split())
         assert said in sheet
     assert lorries_text(result) in " ".join(out.split())
+
+
+def test_the_lane_that_is_told_under_lorries_is_the_one_that_sees_least():
+    def row(**shares):
+        groups = {name: {"distinct_vehicles": 20, "detectable_share": share} for name, share in shares.items()}
+        share = float(np.mean(list(shares.values())))
+        return {"detectable_share": share, "boxes": 60, "interval_90": None, "by_lane": groups, "by_approach": {}}
+
+    recorded, lorries = row(**{"lane 1": 0.5, "lane 2": 0.9}), row(**{"lane 1": 0.4, "lane 2": 0.6})
+    mix = {
+        "what": "lorries",
+        "value": "100 %",
+        "lanes": "the nearest lane",
+        "lorries": 1.0,
+        "approach": None,
+        **lorries,
+    }
+    text = lorries_text({"other_traffic": {"recorded": recorded, "mixes": [mix], "frames": 3, "in_place": False}})
+    assert "of the vehicles in lane 1 then 40 % instead of 50 %" in text
