@@ -11,9 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
-from blender_lidar.scene.mount_checks import check_mount_is_clear, footprints_meet, mount_notes
+from blender_lidar.scene.mount_checks import (
+    check_mount_is_clear,
+    check_outside_of_meshes,
+    footprints_meet,
+    mount_notes,
+)
 from blender_lidar.scene.places import in_radians
 from blender_lidar.scene.scenario import load_scenario, shipped_scenes
+from blender_lidar.world.scenery import box, join, structure
 from tests.sample_traffic import one_vehicle
 from tests.small_scene import REGION, mounting, write_scene
 
@@ -245,3 +251,20 @@ def test_a_mount_among_vehicles_is_told_where_they_drive(clear_scene):
         refusal.value
     )
     assert "frame_ids" not in str(refusal.value)
+
+
+SHEETS = np.array([[(-9.0, -9.0, z), (9.0, -9.0, z), (0.0, 18.0, z)] for z in (0.0, 6.0)])
+
+
+@pytest.mark.parametrize(
+    ("at", "inside"),
+    [((0.0, 0.0, 3.0), True), ((0.5, 0.1, 2.5), True), ((0.0, 0.0, 4.1), False), ((1.45, -0.55, 3.0), False)],
+)
+def test_a_lidar_inside_a_closed_mesh_is_refused_and_one_under_a_sheet_is_not(at, inside):
+    scenery = join([structure("sheets", SHEETS), box("house", (0.0, 0.0, 3.0), (3.0, 1.0, 2.0), 0.3)])
+    mounts = {"here": mounting(dict(zip(("x_m", "y_m", "height_m"), at, strict=True)))}
+    if inside:
+        with pytest.raises(InputError, match=r"here: the LiDAR hangs inside 'house' of \[world\]"):
+            check_outside_of_meshes(scenery, mounts)
+    else:
+        check_outside_of_meshes(scenery, mounts)

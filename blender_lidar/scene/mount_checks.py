@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import InputError
 from ..road.road_map import RoadMap
 from ..traffic.vehicles import PEDESTRIAN, Vehicles, rectangles_overlap
-from ..world.scenery import barrier_extent
+from ..world.scenery import Scenery, barrier_extent
 from . import usual
 from .deployment import Place
 from .mounting import ANGLES, LEANS, PLACE, Mounting
@@ -134,6 +134,50 @@ def _check_vehicles(reach: _Reach, frames: Sequence[Vehicles]) -> None:
             advice = f"hang it above {top[meets].max():.2f} m" if reach.over_lanes else _driven_over(frames, reach)
             first = vehicles.vehicle_id[meets][0]
             raise InputError(f"{reach.said} stands inside vehicle {first} of frame {vehicles.frame}; {advice}")
+
+
+# Along no axis, as walls stand along these; three nearly level, which pass between two sheets.
+_WAYS = np.array(
+    [(0.81, 0.59, 0.001), (-0.97, 0.23, 0.001), (0.13, -0.99, 0.001), (0.27, 0.48, 0.83), (0.52, 0.44, -0.73)]
+)
+
+
+def check_outside_of_meshes(scenery: Scenery, mounts: Mapping[str, Mounting]) -> None:
+    """Refuse a LiDAR inside a closed mesh: point in polyhedron, by how often rays cross its faces.
+
+    That must be odd in all of five directions, so that a sheet above or below a LiDAR is no mesh about it.
+
+    Raises
+    ------
+    InputError
+        Naming the mount and the object.
+    """
+    low, high = (np.full((len(scenery.names), 3), end) for end in (np.inf, -np.inf))
+    np.minimum.at(low, scenery.owner, scenery.corners.min(axis=1))
+    np.maximum.at(high, scenery.owner, scenery.corners.max(axis=1))
+    for where, mount in mounts.items():
+        at = mount.pose.position
+        for row in np.flatnonzero(((low < at) & (at < high)).all(axis=1)).tolist():
+            if _encloses(scenery.corners[scenery.owner == row], at):
+                name = scenery.names[row]
+                raise InputError(f"{where}: the LiDAR hangs inside {name!r} of [world]; move one of them")
+
+
+def _encloses(corners: np.ndarray, at: np.ndarray) -> bool:
+    """Whether rays from a place (3,) cross triangles (m, 3, 3) an odd number of times in all directions (Moller and
+    Trumbore 1997).
+    """
+    one, two, off = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], at - corners[:, 0]
+    aside = np.cross(off, one)
+    for way in _WAYS:
+        across = np.cross(way, two)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            per = 1.0 / (one * across).sum(axis=1)
+            u, v = (off * across).sum(axis=1) * per, aside @ way * per
+            crossed = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & ((two * aside).sum(axis=1) * per > 0.0)
+        if crossed.sum() % 2 == 0:
+            return False
+    return True
 
 
 def _driven_over(frames: Sequence[Vehicles], reach: _Reach) -> str:
