@@ -52,8 +52,6 @@ class Formed:
 
     def __init__(self, form: Mapping[str, str], folder: Path) -> None:
         self.form, self.folder, self.path = form, folder, write_form(folder, form)
-        if form["scenery"] in ("mesh", "blend"):
-            pytest.importorskip("bpy", reason="files of meshes are read by Blender")
         if form["scenery"] == "blend":
             write_blend(folder / "house.blend")
         self.scenario = load_scenario(self.path)
