@@ -24,8 +24,6 @@ from blender_lidar.sensors.model import DATA_FOLDER
 from blender_lidar.toml_table import to_toml
 from tests.small_scene import REGION, SETTINGS, traffic_rows, without_times, write_table
 
-pytestmark = pytest.mark.versions
-
 POLES = "name,x_m,y_m,cost\nleft,-12,0,100\nmiddle,0,0,\nright,12,0,300\n"
 FREE = {"height_m": [2.0, 4.5], "tilt_x_deg": [0.0, 25.0], "installer": False}  # as quick, and as planned
 
