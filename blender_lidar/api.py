@@ -1,9 +1,9 @@
 """The Python interface: scenes, mountings, clouds and their scores, as `import blender_lidar as bl` gives them.
 
 Coordinates of a mounting are keywords in metres and degrees: ``x_m, y_m, height_m, tilt_x_deg, tilt_y_deg, yaw_deg``,
-or ``lean_deg, lean_direction_deg, spin_deg`` in place of the angles; what is left out is the scene's baseline. Tables
-are pandas DataFrames where pandas is installed, else dictionaries of arrays. What cannot be used raises a
-`BlenderLidarError`, with what was given and what is allowed.
+or ``lean_deg, lean_direction_deg, spin_deg`` in place of the angles; what is left out is as the scene
+fixes it, else its baseline's. Tables are pandas DataFrames where pandas is installed, else dictionaries of arrays. What
+cannot be used raises a `BlenderLidarError`, with what was given and what is allowed.
 """
 
 from __future__ import annotations
@@ -265,8 +265,8 @@ def score_mountings(site: Site, table: Mapping | Iterable[Mapping], *, held_out:
     site : Site
         From `load_scene`.
     table : DataFrame, mapping of str to (s,) values, or iterable of mappings
-        The mountings, by the names of their coordinates [m, degrees]; what has no column is the baseline's. A table
-        that this function returned is scored again.
+        The mountings, by the names of their coordinates [m, degrees]; what has no column is as the scene
+        fixes it, else its baseline's. A table that this function returned is scored again.
     held_out : bool
         Whether the held-out frames are scored instead of the searched ones.
 
@@ -338,7 +338,7 @@ def _reaching(site: Site, mounts: Sequence[Mounting]) -> Site:
         site = prepare(site.scenario, mounts)
     frames = [frame.vehicles for frame in (*site.search, *site.holdout)]
     for host, name, mount in zip(hosts, names, mounts, strict=True):
-        check_mount_is_clear(host, frames, {name: mount})
+        check_mount_is_clear(host, frames, {name: mount}, site.observation.scenery and site.observation.scenery.scenery)
     return site
 
 
@@ -364,7 +364,7 @@ def scan_frame(site: Site, frame: int, **mounting: float | Mapping[str, float]) 
     layout = _layout(site, mounting, "scan_frame") if site.scenario.further_lidars else (_mounting(site, mounting),)
     sensors = mounted_sensors(site.scenario, layout)
     for sensor in sensors:
-        check_mount_is_clear(sensor.scenario, [vehicles], {"mounting": sensor.mounting})
+        check_mount_is_clear(sensor.scenario, [vehicles], {"mounting": sensor.mounting}, sensor.stands)
     return Scan(joined_clouds([of.scan(vehicles) for of in sensors]), vehicles, fused_header(sensors, vehicles))
 
 

@@ -6,7 +6,7 @@ help takes to print. A test holds each list to what its room has.
 
 CASTERS = ("raster", "embree", "bvh", "exact")  # in the order in which "auto" tries them; the last it does not
 DETAILS = ("box", "body", "detailed")  # of vehicles, the coarsest first
-BOXES = ("structure", "building", "vegetation")
+BOX_KINDS = ("structure", "building", "vegetation")
 BARRIERS = ("concrete", "guard_rail", "hedge")
 VEHICLE_CLASSES = ("car", "van", "truck", "bus", "motorcycle", "bicycle")
 CLASSES = (*VEHICLE_CLASSES, "pedestrian")  # of road users

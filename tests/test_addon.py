@@ -16,7 +16,7 @@ import pytest
 from blender_lidar.casting import is_available
 from tests.waiting import WAIT_S
 
-pytestmark = pytest.mark.session
+pytestmark = [pytest.mark.session, pytest.mark.versions]
 
 SESSION = Path(__file__).with_name("addon_session.py")
 CHECKS = [

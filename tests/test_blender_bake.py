@@ -22,7 +22,7 @@ from blender_lidar.world.blender.points import cloud_of
 from tests.small_scene import traffic_rows, write_scene, write_table
 from tests.waiting import WAIT_S
 
-pytestmark = [pytest.mark.usefixtures("registered_addon"), pytest.mark.session]
+pytestmark = [pytest.mark.usefixtures("registered_addon"), pytest.mark.session, pytest.mark.versions]
 WALL = np.array([(x, -6.0, z) for x, z in ((-30.0, 0.0), (30.0, 0.0), (30.0, 1.5), (-30.0, 1.5))])
 SCRIPT = Path(__file__).parents[1] / "scripts" / "bake.py"
 

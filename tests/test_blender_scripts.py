@@ -18,7 +18,7 @@ from blender_lidar.casting import is_available
 from tests.small_scene import without_times, write_scene
 from tests.waiting import WAIT_S
 
-pytestmark = pytest.mark.session
+pytestmark = [pytest.mark.session, pytest.mark.versions]
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 BLENDER = shutil.which("blender")

@@ -227,7 +227,7 @@ def test_scenery_is_labelled_by_what_it_is_and_never_road(tmp_path):
     cloud = replace(CLOUD, surface=surface.astype(np.uint8))
     write_cloud(tmp_path / "c.bin", cloud, HEADER)
     label = np.fromfile(tmp_path / "c.label", dtype=np.uint32) & 0xFFFF
-    expected = {"road": 40, "building": 50, "vegetation": 70, "structure": 52, "person": 30}
+    expected = {"road": 40, "building": 50, "vegetation": 70, "structure": 52, "person": 30, "cyclist": 31}
     for name, number in expected.items():
         rows = (cloud.vehicle_id < 0) & (surface == SURFACES.index(name))
         assert rows.any()

@@ -1,4 +1,6 @@
-"""Forms in pairs: small scenes that between them put every two forms of a scene together, through every verb.
+"""Forms in pairs: small scenes that between them put every two forms of a scene together.
+
+All go through evaluate, scan, dataset, build, Python and the panel, and some through optimise.
 
 `python -m tests.test_forms --write` computes their golden values anew. Do so only where numbers are meant to change.
 """

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from blender_lidar.errors import InputError
 from blender_lidar.scene.mount_checks import (
     check_mount_is_clear,
-    check_outside_of_meshes,
     footprints_meet,
     mount_notes,
 )
@@ -253,18 +252,45 @@ def test_a_mount_among_vehicles_is_told_where_they_drive(clear_scene):
     assert "frame_ids" not in str(refusal.value)
 
 
-SHEETS = np.array([[(-9.0, -9.0, z), (9.0, -9.0, z), (0.0, 18.0, z)] for z in (0.0, 6.0)])
+def meshes(*parts):
+    """Triangles of some objects as one file's scenery."""
+    return join([structure(f"object {number}", corners) for number, corners in enumerate(parts)])
+
+
+HOUSE = box("house", (6.0, -6.0, 3.0), (3.0, 1.0, 2.0), 0.3).corners
+TUNNEL = box("tunnel", (6.0, -6.0, 3.0), (400.0, 4.0, 6.0)).corners
+TUNNEL = TUNNEL[np.ptp(TUNNEL[..., 0], axis=1) > 1.0]  # without its ends
+SHEETS = np.array([[(-90.0, -90.0, z), (90.0, -90.0, z), (0.0, 180.0, z)] for z in (0.0, 6.0)])
 
 
 @pytest.mark.parametrize(
-    ("at", "inside"),
-    [((0.0, 0.0, 3.0), True), ((0.5, 0.1, 2.5), True), ((0.0, 0.0, 4.1), False), ((1.45, -0.55, 3.0), False)],
+    ("parts", "at", "inside"),
+    [
+        ([SHEETS, HOUSE], (6.0, -6.0, 3.0), True),
+        ([SHEETS, HOUSE], (6.5, -5.9, 2.5), True),
+        ([SHEETS, HOUSE], (6.0, -6.0, 4.1), False),
+        ([SHEETS, HOUSE], (7.45, -6.55, 3.0), False),
+        ([TUNNEL], (6.0, -6.0, 3.0), False),  # open at both ends
+        ([box("sky", (0.0, 0.0, 0.0), (400.0, 400.0, 300.0)).corners], (6.0, -6.0, 3.0), False),  # about the road too
+    ],
 )
-def test_a_lidar_inside_a_closed_mesh_is_refused_and_one_under_a_sheet_is_not(at, inside):
-    scenery = join([structure("sheets", SHEETS), box("house", (0.0, 0.0, 3.0), (3.0, 1.0, 2.0), 0.3)])
-    mounts = {"here": mounting(dict(zip(("x_m", "y_m", "height_m"), at, strict=True)))}
+def test_a_lidar_inside_a_closed_mesh_is_refused(parts, at, inside, tmp_path):
+    scenario = scene(tmp_path)
+    mounts = {"here": scenario.mounting(dict(zip(("x_m", "y_m", "height_m"), at, strict=True)))}
     if inside:
-        with pytest.raises(InputError, match=r"here: the LiDAR hangs inside 'house' of \[world\]"):
-            check_outside_of_meshes(scenery, mounts)
+        with pytest.raises(InputError, match=r"here: the LiDAR hangs inside 'object 1' of \[world\]"):
+            check_mount_is_clear(scenario, [], mounts, meshes(*parts))
     else:
-        check_outside_of_meshes(scenery, mounts)
+        check_mount_is_clear(scenario, [], mounts, meshes(*parts))
+
+
+def test_every_place_that_may_be_is_looked_at(tmp_path):
+    searched = scene(tmp_path / "a", {"x_m": 6.0, "y_m": -6.0, "height_m": [3.0, 5.0]})
+    with pytest.raises(InputError, match=r"\[deployment\] x_m, y_m: the LiDAR hangs inside 'object 0'"):
+        check_mount_is_clear(searched, [], scenery=meshes(HOUSE))
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "poles.csv").write_text("name,x_m,y_m\nfirst,6,-6\nlast,-9,-1\n")
+    fixed = {"poles": "poles.csv", "y_m": None, "height_m": 3.0, "tilt_x_deg": 10.0}
+    on_poles = scene(tmp_path / "b", fixed)
+    with pytest.raises(InputError, match="pole 'first': the LiDAR hangs inside 'object 0'"):
+        check_mount_is_clear(on_poles, [], scenery=meshes(HOUSE))

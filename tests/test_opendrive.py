@@ -14,6 +14,8 @@ from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.road.approaches import approach_spans, ends_of
 from blender_lidar.road.opendrive import read_opendrive
 from blender_lidar.road.road_map import Flat, Junction, Lane, RoadMap
+from blender_lidar.scene.region import region_of
+from blender_lidar.scene.settings import RegionSettings
 
 pytestmark = pytest.mark.versions
 
@@ -457,3 +459,77 @@ def test_edges_across_a_tapering_lane_are_where_it_is_as_wide(read):
     found = read(road(lanes=section(lane(-1, (0.0, 2.0, 0.02)))))
     right, left = found.edges_across((50.0, -1.0))
     assert (right[1], left[1]) == (pytest.approx(-3.0, abs=0.02), pytest.approx(0.0, abs=0.02))
+
+
+def lanes_in_a_row(*lanes):
+    """Lanes along x from pairs of what a map says of each and where it lies, x from and to [m]."""
+    line = tuple(np.array([(low, 0.0), (high, 0.0)]) for _, low, high in lanes)
+    zero = np.zeros(len(lanes))
+    ends = {lane.junction: high for lane, _, high in lanes if lane.junction}
+    junctions = tuple(
+        Junction(name, np.array([(x - 9.0, -3.0), (x, -3.0), (x, 3.0), (x - 9.0, 3.0)])) for name, x in ends.items()
+    )
+    return RoadMap(
+        line, zero, zero, zero + 3.5, zero > 1.0, Flat(), lanes=tuple(lane for lane, *_ in lanes), junctions=junctions
+    )
+
+
+def test_an_approach_whose_lanes_split_goes_on_along_the_road_before_it():
+    found = lanes_in_a_row(
+        (Lane("up", "up", "", (1,)), 0.0, 100.0),
+        (Lane("on.0", "on", "", (2, 3)), 100.0, 170.0),
+        (Lane("on.1", "on", "", (4,)), 170.0, 200.0),
+        (Lane("on.2", "on", "", (4,)), 170.0, 200.0),
+        (Lane(":j", ":j", "j"), 200.0, 209.0),
+    )
+    assert approach_spans(found, "on", 150.0, "here") == {
+        2: (0.0, 30.0),
+        3: (0.0, 30.0),
+        1: (0.0, 70.0),
+        0: (50.0, 100.0),
+    }
+
+
+def test_a_lane_that_becomes_one_for_bicycles_does_not_end_at_the_stop_line():
+    found = lanes_in_a_row(
+        (Lane("on.0", "on", "", (4,)), 0.0, 230.0),
+        (Lane("beside", "on", "", (2,)), 0.0, 100.0),
+        (Lane("cycle", "on", "", (), "bicycles"), 100.0, 230.0),
+        (Lane("unused", "off", ""), 300.0, 310.0),
+        (Lane(":j", ":j", "j"), 230.0, 239.0),
+    )
+    assert approach_spans(found, "on", 50.0, "here") == {0: (180.0, 230.0)}
+
+
+def test_a_junction_whose_lanes_the_map_does_not_have_counts_by_its_width():
+    found = lanes_in_a_row(
+        (Lane("in", "in", "", (1,)), 0.0, 40.0),
+        (Lane("on", "on", "", (2,)), 48.0, 78.0),
+        (Lane(":j", ":j", "j"), 78.0, 87.0),
+    )
+    assert approach_spans(found, "on", 60.0, "here") == {1: (0.0, 30.0), 0: (18.0, 40.0)}
+
+
+def test_a_road_ends_where_it_leaves_and_not_where_one_of_its_lanes_does():
+    bent = np.array([(0.0, 0.0), (100.0, 0.0), (100.0, 50.0)])
+    zero = np.zeros(3)
+    line = np.array([(0.0, 3.0), (60.0, 3.0)]), bent, np.array([(100.0, 50.0), (100.0, 60.0)])
+    lanes = Lane("ends", "on"), Lane("goes", "on", "", (2,)), Lane(":j", ":j", "j")
+    found = RoadMap(line, zero, zero, zero + 3.0, zero > 1.0, Flat(), lanes=lanes)
+    assert ends_of(found, "on") == (0.0, pytest.approx(math.pi / 2.0))
+
+
+def test_a_lane_before_two_approaches_counts_as_far_as_the_longer_reaches():
+    lanes = Lane("a", "a", "", (1, 2)), Lane("b", "b", "", (3,)), Lane("c", "c", "", (3,)), Lane(":j", ":j", "j")
+    line = [
+        np.array(one, dtype=float)
+        for one in (((0, 0), (100, 0)), ((100, 0), (159, 0)), ((100, 0), (138, 9)), ((159, 0), (168, 0)))
+    ]
+    zero = np.zeros(4)
+    area = Junction("j", np.array([(138.0, -3.0), (168.0, -3.0), (168.0, 12.0), (138.0, 12.0)]))
+    found = RoadMap(tuple(line), zero, zero, zero + 3.0, zero > 1.0, Flat(), lanes=lanes, junctions=(area,))
+    of = [
+        region_of(RegionSettings(junction="j", approaches=order, approach_m=80.0), found).spans[0][0]
+        for order in (("b", "c"), ("c", "b"))
+    ]
+    assert of[0] == of[1] < 79.0

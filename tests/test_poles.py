@@ -380,3 +380,18 @@ def test_a_mounting_that_is_not_given_is_as_its_scene_fixes_it(form, tmp_path):
         table = scenario.mounting(given).as_table()
         assert (table["height_m"], table["tilt_x_deg"]) == (given.get("height_m", 4.1), pytest.approx(19.0))
     assert scenario.mounting({"lean_deg": 5.0}).as_table()["lean_deg"] == pytest.approx(5.0)
+
+
+def test_on_a_pole_what_the_scene_fixes_holds(tmp_path, capsys):
+    (tmp_path / "poles.csv").write_text("name,x_m,y_m\nnorth,-4,-0.5\nsouth,6,-0.5\n")
+    fixed = {"poles": "poles.csv", "y_m": None, "height_m": [3.0, 4.0], "tilt_x_deg": 15.0}
+    path = write_scene(tmp_path, {**REGION, "deployment": fixed})
+    found = [
+        json.loads(done(capsys, "evaluate", path, *words, "--json", "--out", tmp_path / name)[0])["deployment"]
+        for name, words in (
+            ("a", ("--pole", "north", "--height", 3.5)),
+            ("b", ("--x", -4, "--y", -0.5, "--height", 3.5)),
+        )
+    ]
+    assert found[0] == found[1]
+    assert (found[0]["x_m"], found[0]["height_m"], found[0]["tilt_x_deg"]) == (-4.0, 3.5, pytest.approx(15.0))

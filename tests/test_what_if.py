@@ -18,7 +18,7 @@ from blender_lidar.report.cautions import (
     other_traffic_text,
     other_traffic_texts,
 )
-from blender_lidar.run.as_hung import FEW_ERRORS, besides
+from blender_lidar.run.as_hung import FEW_ERRORS, errors_of_frames
 from blender_lidar.run.what_if import (
     LORRY_SHARES,
     OTHER_HEIGHTS,
@@ -347,7 +347,7 @@ def test_what_is_drawn_is_drawn_several_times_and_what_is_not_once(seen):
 def test_each_frame_is_seen_under_installation_errors_of_its_own(site, planned):
     scenario = replace(site.scenario, deployment=replace(site.scenario.deployment, installer=Installer(tilt_deg=4.0)))
     frames = [frame for frame in site.holdout if frame.counted.any()]
-    errors, seen = besides(scenario, len(frames)), []
+    errors, seen = errors_of_frames(scenario, len(frames)), []
     for frame, of_frame in zip(frames, errors, strict=True):
         evaluator = Evaluator([frame], site.observation, site.scoring)
         hits = [evaluator.by_box([installed_layout(planned, error)])[1][0] for error in of_frame]

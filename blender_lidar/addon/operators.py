@@ -221,7 +221,7 @@ def _standing(scenario):
     """What a scene's [world] has standing there at the start of its traffic."""
     if not scenario.world.has_scenery:
         return None
-    return standing_scenery(scenario, resolve(scenario.model.caster, "caster")).at(0.0).scenery
+    return standing_scenery(scenario, resolve(scenario.model.caster, "caster")).at(0.0).with_walkers
 
 
 def _loaded(operator, recording):

@@ -18,7 +18,7 @@ from ..errors import BlenderLidarError, InputError, MissingExtraError, OutputErr
 from ..files import make_folder, number, open_file, read_file, read_npz, reading, write_bytes, write_text
 from ..sensors.pose import Pose
 from ..traffic.vehicles import CLASSES, Vehicles
-from ..world.meshes import BUILDING, PERSON, ROAD, STRUCTURE, SURFACES, VEGETATION
+from ..world.meshes import BUILDING, CYCLIST, PERSON, ROAD, STRUCTURE, SURFACES, VEGETATION
 from ..world.scenery import NO_LABEL
 from .scan import NO_CLASS, PointCloud, class_names
 
@@ -353,7 +353,7 @@ def _read_las(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | No
 # bicycle with its rider a bicyclist.
 SEMANTIC_CLASSES = np.array([10, 10, 18, 13, 15, 31, 30])
 _OTHER, _STRUCTURE = 99, 52
-_SEMANTIC_SURFACES = {ROAD: 40, BUILDING: 50, VEGETATION: 70, PERSON: 30}
+_SEMANTIC_SURFACES = {ROAD: 40, BUILDING: 50, VEGETATION: 70, PERSON: 30, CYCLIST: 31}
 _MOVING = (252, 253, 254, 255, 256, 257, 258, 259)  # what SemanticKITTI calls road users that move
 
 

@@ -57,6 +57,11 @@ class MountedSensor:
     scenery: StandingScenery | None
     bodies: OwnBodies | None = None
 
+    @property
+    def stands(self) -> Scenery | None:
+        """What stands there at all times, None where nothing does."""
+        return None if self.scenery is None else self.scenery.scenery
+
     def scan(self, vehicles: Vehicles) -> PointCloud:
         """One revolution over a frame, ground included."""
         observation = observation_of(self.scenario, self.caster, self.scenery, bodies=self.bodies)
@@ -79,7 +84,7 @@ class MountedSensor:
             "versions": versions(self.caster),
             "mounting": self.mounting.as_table(),
             **({"road": slopes} if slopes else {}),
-            **({LABELS: labels} if (labels := self.scenery and self.scenery.scenery.labels) else {}),
+            **({LABELS: labels} if (labels := self.stands and self.stands.labels) else {}),
         }
 
     def moment(self, vehicles: Vehicles, detections: Mapping[int, DetectedBoxes], points: Mapping | None) -> Moment:

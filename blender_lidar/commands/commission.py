@@ -70,7 +70,10 @@ def run(args: argparse.Namespace) -> int:
         )
     finally:
         progress.close()
-    plan = against_plan(site, layout, number, found.fit) if site else None
+    plan = None
+    if site:
+        searched = RunFolder(args.of_run).result["search"] is not None
+        plan = against_plan(site, layout, number, found.fit, searched=searched)
     result = {"schema": COMMISSION_SCHEMA, "clouds": len(clouds), "source": list(args.clouds)}
     result |= result_of(found, asked.axes, asked.origin or (0.0, 0.0, 0.0), plan)
     make_folder(folder, "--out")

@@ -59,7 +59,7 @@ def _asked(
     _say_warnings(recording)
     frames = [frame_of(recording, number, option) for number in numbers]
     for sensor in sensors:
-        check_mount_is_clear(sensor.scenario, frames, {"--x, --y": sensor.mounting})
+        check_mount_is_clear(sensor.scenario, frames, {"--x, --y": sensor.mounting}, sensor.stands)
     return sensors, recording, frames
 
 

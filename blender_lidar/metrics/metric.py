@@ -120,6 +120,14 @@ _MISSING = {
 }
 
 
+_LARGEST_CELL_M = 0.4  # to which cells grow
+
+
+def grown(cell_m: float, growth: float) -> float:
+    """Side of a cell or a voxel where beams are thinned: so many times as large, up to 0.4 m [m]."""
+    return max(cell_m, min(cell_m * growth, _LARGEST_CELL_M))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleReturns:
     """What came back from n vehicles.
@@ -143,7 +151,7 @@ class VehicleReturns:
     detectable : ndarray of bool, (n,), or None
         Whether enough of each is seen (Eq. 11); None where no threshold is known.
     cell_growth : float
-        How many times as large cells and voxels are, where beams are thinned.
+        How many times as large cells and voxels are where beams are thinned: see `grown`.
     """
 
     size_m: np.ndarray

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from .metric import VehicleReturns
+from .metric import VehicleReturns, grown
 from .vgop import entropy, occupancy
 from .view_grids import ViewGrids, cell_counts
 
@@ -35,7 +35,7 @@ HALF_SHARE = 0.5
 
 def view_coverage(returns: VehicleReturns) -> np.ndarray:
     """C of each vehicle, (n,), from 0 to 1; higher is better. Its cells do not depend on PE-VGOP's."""
-    return coverage(occupancy(returns.points, returns.vehicle, returns.size_m, CELL_M * returns.cell_growth))
+    return coverage(occupancy(returns.points, returns.vehicle, returns.size_m, grown(CELL_M, returns.cell_growth)))
 
 
 def coverage(shares: np.ndarray) -> np.ndarray:
@@ -204,7 +204,7 @@ def voxel_occupancy(returns: VehicleReturns) -> np.ndarray:
     1, and the farther the larger the vehicle.
     """
     row, _ = _filled(returns, OCCUPANCY_VOXEL_M)
-    voxels = cell_counts(returns.size_m, OCCUPANCY_VOXEL_M * returns.cell_growth).prod(axis=1)
+    voxels = cell_counts(returns.size_m, grown(OCCUPANCY_VOXEL_M, returns.cell_growth)).prod(axis=1)
     return np.bincount(row, minlength=len(returns)) / voxels
 
 
@@ -221,7 +221,7 @@ def voxel_occupancy_entropy(returns: VehicleReturns) -> np.ndarray:
 
 def _filled(returns, voxel_m):
     """Vehicle (u,) and number of returns (u,) of every voxel that holds any, vehicle after vehicle."""
-    voxel_m *= returns.cell_growth
+    voxel_m = grown(voxel_m, returns.cell_growth)
     cells = cell_counts(returns.size_m, voxel_m)
     (x, y, z), vehicle = ViewGrids(returns.size_m, voxel_m).cells_of(returns.points, returns.vehicle)
     voxels = cells.prod(axis=1)

@@ -137,8 +137,9 @@ def lorries_text(result: Mapping) -> str:
         f"detectable {instead}, in {counted(other['frames'], 'held-out frame' if result.get('holdout') else 'frame')}"
     )
     told = known_groups(whole).keys() & known_groups(worst).keys()
-    if not in_place and told:
-        lane = min(sorted(told), key=known_groups(worst).get)
+    fell = [name for name in sorted(told) if known_groups(worst)[name] < known_groups(whole)[name]]
+    if not in_place and fell:
+        lane = min(fell, key=known_groups(worst).get)
         shares = (f"{100 * known_groups(row)[lane]:.0f}" for row in (worst, whole))
         text += "; of the vehicles in {} then {} % instead of {} %".format(lane, *shares)
     return text

@@ -89,6 +89,9 @@ def run_text(result: Mapping, *, held_out: bool = False) -> str:
     The vehicles are those of the searched frames, or of those `held_out` where there are any.
     """
     of, kind = (result["holdout"], "held-out frame") if held_out and result["holdout"] else (result, "frame")
+    if held_out and result.get("cross_fitted"):  # every block of time judges
+        parts = result, result["holdout"] or {"vehicles": 0, "frames": 0}
+        of, kind = {key: sum(part[key] for part in parts) for key in ("vehicles", "frames")}, "frame"
     metric = "" if result["metric"] == PE_VGOP.name else f", metric {metric_named(result['metric']).name}"
     return (
         f"{result['sensor']}, {gate_text(result)}, "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Iterable
+from itertools import chain
 
 import numpy as np
 
@@ -95,17 +96,20 @@ def _to_stop_line(road: RoadMap, name: str, length: dict[int, float]) -> dict[in
     for row in length:
         for later in road.lanes[row].leads_to:
             into.setdefault(later, []).append(row)
-    found = _shortest(
-        {row: 0.0 for row in own if set(road.lanes[row].leads_to) - own} or dict.fromkeys(own, 0.0), into, length
-    )
-    ends_early = {
-        row: _beside(road, row, {one: found[one] for one in own & found.keys()}, length) for row in own - found.keys()
-    }
-    return _shortest(found | ends_early, into, length)
+    ends = {row for row in own if any(road.lanes[later].road != name for later in road.lanes[row].leads_to)}
+    found = _shortest(road, dict.fromkeys(ends or own, 0.0), into, length)
+    known = {row: found[row] for row in own & found.keys()}
+    return _shortest(road, found | {row: _beside(road, row, known, length) for row in own - found.keys()}, into, length)
 
 
-def _shortest(start: dict[int, float], into: dict[int, list[int]], length: dict[int, float]) -> dict[int, float]:
-    """Dijkstra's shortest paths against the traffic, from the ends of lanes that are so far away already [m]."""
+def _shortest(
+    road: RoadMap, start: dict[int, float], into: dict[int, list[int]], length: dict[int, float]
+) -> dict[int, float]:
+    """Dijkstra's shortest paths against the traffic, from the ends of lanes that are so far away already [m].
+
+    From a lane to the next it is as far as from the end of the one to the start of the other: across a junction whose
+    lanes the map does not have.
+    """
     found, queue = {}, [(far, row) for row, far in start.items()]
     heapq.heapify(queue)
     while queue:
@@ -113,7 +117,8 @@ def _shortest(start: dict[int, float], into: dict[int, list[int]], length: dict[
         if row not in found:
             found[row] = far
             for earlier in into.get(row, ()):
-                heapq.heappush(queue, (far + length[row], earlier))
+                gap = math.dist(road.points_m[earlier][-1], road.points_m[row][0])
+                heapq.heappush(queue, (far + length[row] + gap, earlier))
     return found
 
 
@@ -131,7 +136,8 @@ def _roads_before(road: RoadMap) -> dict[str, set[str]]:
     for lane in road.lanes:
         if not lane.junction and lane.use == "vehicles":
             for row in _exits(road, lane.leads_to):
-                found.setdefault(road.lanes[row].road, set()).add(lane.road)
+                if road.lanes[row].road != lane.road:  # not from piece to piece of one
+                    found.setdefault(road.lanes[row].road, set()).add(lane.road)
     return found
 
 
@@ -167,7 +173,9 @@ def ends_of(road: RoadMap, name: str) -> tuple[float, float]:
     own = [row for row, lane in enumerate(road.lanes) if lane.road == name]
     led_to = {later for row in own for later in road.lanes[row].leads_to}
     first = next((row for row in own if row not in led_to), own[0])
-    last = next((row for row in own if not set(road.lanes[row].leads_to) & set(own)), own[-1])
+    leaving = (row for row in own if any(road.lanes[later].road != name for later in road.lanes[row].leads_to))
+    ending = (row for row in own if not set(road.lanes[row].leads_to) & set(own))
+    last = next(chain(leaving, ending), own[-1])
     steps = np.diff(road.points_m[first], axis=0)[0], np.diff(road.points_m[last], axis=0)[-1]
     return tuple(math.atan2(step[1], step[0]) for step in steps)
 

@@ -64,7 +64,7 @@ class HungObjective:
         return np.quantile(objective, LOW_SHARE, axis=1, method="hazen")  # each of m stands for 1 / m of the errors
 
 
-def besides(scenario: Scenario, frames: int) -> np.ndarray | None:
+def errors_of_frames(scenario: Scenario, frames: int) -> np.ndarray | None:
     """Installation errors of each frame on which something is told besides, (frames, e, l, 4); None without any."""
     return _of_frames(scenario, frames, FEW_ERRORS, _BESIDES)
 

@@ -188,9 +188,12 @@ class RunFolder:
 
     @property
     def judged(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """The vehicle tables of the baseline and of the run's mounting, on the frames that judge: see `result`."""
+        """The vehicle tables of the baseline and of the run's mounting, on the frames that judge: see `result`.
+
+        Those are all frames where every block of time has judged (cross-fitting).
+        """
         split = "holdout" if self.result["holdout"] else "search"
-        rows = self.optimised["split"] == split
+        rows = (self.optimised["split"] == split) | bool(self.result.get("cross_fitted"))
         return tuple({key: column[rows] for key, column in table.items()} for table in (self.baseline, self.optimised))
 
     def finish(self, result: Mapping) -> dict:

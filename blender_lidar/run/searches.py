@@ -174,7 +174,7 @@ def _final_budget(scenario: Scenario, space: SearchSpace) -> tuple[int, int]:
 
 
 def most_evaluations(scenario: Scenario, space: SearchSpace) -> int:
-    """How many mountings a search of one place scores at most, its map and its last stage among them; not a polish."""
+    """How many mountings a search of one place scores at most, its map and its last stage among them."""
     use = scenario.search
     on_map = math.prod(POINTS) if all(axis in space.variables for axis in space.axes) else 0
     return (

@@ -30,7 +30,7 @@ from ..traffic.fleet import (
     with_variety,
 )
 from ..traffic.vehicles import CLASSES, DIMENSIONS, Vehicles
-from .as_hung import as_planned, besides, hung_scores, judge_as_hung, searching
+from .as_hung import as_planned, errors_of_frames, hung_scores, judge_as_hung, searching
 from .vehicle_table import APPROACH, BoxShares, approaches, lanes, vehicle_tables
 
 # --- Other traffic ----------------------------------------------------------------------------------------------------
@@ -293,7 +293,7 @@ def other_traffic(site: Site, layout: Layout) -> dict[str, object]:
         no queue is lined up again; ``fleet`` of `_fleet`.
     """
     few, seed = _judging(site), site.scenario.search.seed
-    rows, errors = [], besides(site.scenario, len(few.holdout))
+    rows, errors = [], errors_of_frames(site.scenario, len(few.holdout))
     for mix in mixes(few, layout[0].xy):
         changed = [mix.change(few, seed=seed + draw) for draw in range(_DRAWS if mix.is_drawn else 1)]
         rows.append(mix.told | _coverage(changed, layout, errors))

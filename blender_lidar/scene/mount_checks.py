@@ -21,6 +21,7 @@ from . import usual
 from .deployment import Place
 from .mounting import ANGLES, LEANS, PLACE, Mounting
 from .places import in_radians
+from .region import region_of
 from .scenario import Scenario
 from .settings import BarrierSettings, BoxSettings
 
@@ -49,9 +50,12 @@ class _Reach(NamedTuple):
 
 
 def check_mount_is_clear(
-    scenario: Scenario, frames: Iterable[Vehicles], mounts: Mapping[str, Mounting] | None = None
+    scenario: Scenario,
+    frames: Iterable[Vehicles],
+    mounts: Mapping[str, Mounting] | None = None,
+    scenery: Scenery | None = None,
 ) -> None:
-    """Refuse a mount on the carriageway or inside a vehicle, or a LiDAR inside one of [world]'s boxes or barriers.
+    """Refuse a mount on the carriageway or inside a vehicle, or a LiDAR inside a box, a barrier or a closed mesh.
 
     Parameters
     ----------
@@ -61,6 +65,8 @@ def check_mount_is_clear(
         The traffic.
     mounts : mapping of str to Mounting, optional
         Mounts to check, by the option that gave them; the scene's searched places and baseline if left out.
+    scenery : Scenery, optional
+        What stands there, of which no closed mesh may hold a LiDAR: of a searched place its corners and its middle.
 
     Raises
     ------
@@ -74,7 +80,7 @@ def check_mount_is_clear(
                 f"{poles_file}: pole {place.pole.name!r}" if place.pole else where: place
                 for place in one.deployment.places
             }
-            check_mount_is_clear(one, frames, {**asked, one.where("baseline", "x_m, y_m"): one.baseline})
+            check_mount_is_clear(one, frames, {**asked, one.where("baseline", "x_m, y_m"): one.baseline}, scenery)
         return
     barriers = (boxes_around(barrier, scenario.road_map) for barrier in scenario.world.barriers)
     solids = [*scenario.world.boxes, *itertools.chain.from_iterable(barriers)]
@@ -82,6 +88,7 @@ def check_mount_is_clear(
     for where, mount in mounts.items():
         reach = _reach(scenario, where, mount)
         _check_solids(reach, where, solids)
+        _check_meshes(reach, where, scenery, region_of(scenario.region, scenario.road_map).centre_xy)
         _check_vehicles(reach, frames)
 
 
@@ -136,45 +143,50 @@ def _check_vehicles(reach: _Reach, frames: Sequence[Vehicles]) -> None:
             raise InputError(f"{reach.said} stands inside vehicle {first} of frame {vehicles.frame}; {advice}")
 
 
-# Along no axis, as walls stand along these; three nearly level, which pass between two sheets.
-_WAYS = np.array(
-    [(0.81, 0.59, 0.001), (-0.97, 0.23, 0.001), (0.13, -0.99, 0.001), (0.27, 0.48, 0.83), (0.52, 0.44, -0.73)]
-)
+_LEVEL = (0.81, 0.59, 0.001), (-0.97, 0.23, 0.001), (0.13, -0.99, 0.001)
+_RAYS = np.array([*_LEVEL, (0.27, 0.48, 0.83), (0.52, 0.44, -0.73)])  # along no axis, as walls stand along these
+_WELDED_M = 1e-4
 
 
-def check_outside_of_meshes(scenery: Scenery, mounts: Mapping[str, Mounting]) -> None:
-    """Refuse a LiDAR inside a closed mesh: point in polyhedron, by how often rays cross its faces.
-
-    That must be odd in all of five directions, so that a sheet above or below a LiDAR is no mesh about it.
-
-    Raises
-    ------
-    InputError
-        Naming the mount and the object.
-    """
+def _check_meshes(reach: _Reach, where: str, scenery: Scenery | None, driven_xy: tuple[float, float]) -> None:
+    """Refuse a LiDAR that may hang inside a closed mesh, unless that is about where vehicles drive as well."""
+    if scenery is None or not len(scenery):
+        return
     low, high = (np.full((len(scenery.names), 3), end) for end in (np.inf, -np.inf))
     np.minimum.at(low, scenery.owner, scenery.corners.min(axis=1))
     np.maximum.at(high, scenery.owner, scenery.corners.max(axis=1))
-    for where, mount in mounts.items():
-        at = mount.pose.position
-        for row in np.flatnonzero(((low < at) & (at < high)).all(axis=1)).tolist():
-            if _encloses(scenery.corners[scenery.owner == row], at):
-                name = scenery.names[row]
-                raise InputError(f"{where}: the LiDAR hangs inside {name!r} of [world]; move one of them")
+    places = np.unique(np.array(list(itertools.product(*zip(reach.head_low, reach.head_high, strict=True)))), axis=0)
+    about = ((low < reach.head_high) & (reach.head_low < high)).all(axis=1)
+    for row in np.flatnonzero(about).tolist():
+        corners = scenery.corners[scenery.owner == row]
+        if not _is_closed(corners) or _holds(corners, np.array([*driven_xy, 1.0])):
+            continue
+        if any(_holds(corners, place) for place in (*places, places.mean(axis=0))):
+            raise InputError(f"{where}: the LiDAR hangs inside {scenery.names[row]!r} of [world]; move one of them")
 
 
-def _encloses(corners: np.ndarray, at: np.ndarray) -> bool:
-    """Whether rays from a place (3,) cross triangles (m, 3, 3) an odd number of times in all directions (Moller and
-    Trumbore 1997).
+def _is_closed(corners: np.ndarray) -> bool:
+    """Watertight mesh: whether every edge of triangles (m, 3, 3), once corners are welded, belongs to two of them."""
+    _, vertex = np.unique(np.rint(corners.reshape(-1, 3) / _WELDED_M), axis=0, return_inverse=True)
+    faces = vertex.reshape(-1, 3)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, count = np.unique(edges[edges[:, 0] != edges[:, 1]], axis=0, return_counts=True)
+    return bool(len(count)) and bool((count % 2 == 0).all())
+
+
+def _holds(corners: np.ndarray, place: np.ndarray) -> bool:
+    """Point in polyhedron by ray parity: whether rays from a place (3,) all cross triangles (m, 3, 3) an odd number of
+    times (crossings as of Moller and Trumbore 1997).
     """
-    one, two, off = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], at - corners[:, 0]
-    aside = np.cross(off, one)
-    for way in _WAYS:
-        across = np.cross(way, two)
+    edge_1, edge_2, offset = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], place - corners[:, 0]
+    cross_1 = np.cross(offset, edge_1)
+    for ray in _RAYS:
+        cross_2 = np.cross(ray, edge_2)
         with np.errstate(divide="ignore", invalid="ignore"):
-            per = 1.0 / (one * across).sum(axis=1)
-            u, v = (off * across).sum(axis=1) * per, aside @ way * per
-            crossed = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & ((two * aside).sum(axis=1) * per > 0.0)
+            reciprocal = 1.0 / (edge_1 * cross_2).sum(axis=1)
+            u, v = (offset * cross_2).sum(axis=1) * reciprocal, cross_1 @ ray * reciprocal
+            ahead = (edge_2 * cross_1).sum(axis=1) * reciprocal > 0.0
+            crossed = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & ahead
         if crossed.sum() % 2 == 0:
             return False
     return True

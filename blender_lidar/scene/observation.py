@@ -34,7 +34,7 @@ class Observation:
     cell_m : float
         Side of an occupancy cell [m].
     cell_growth : float
-        How many times as large cells are as they should be, where beams are thinned; of metrics with their own too.
+        How many times as large metrics' own cells are, where beams are thinned: see `metrics.metric.grown`.
     reading : str
         How Eq. 8 is read: see `metrics.vgop.occupancy`.
     scenery : StandingScenery or None

@@ -139,7 +139,9 @@ def _mapped(settings: RegionSettings, road: RoadMap, where: Callable[[str], str]
         areas.append(junction_named(road, settings.junction, where("junction")).outline_m)
         approaches = approaches_to(road, [settings.junction]) if approaches is None else approaches
     for name in approaches or () if settings.approach_m else ():
-        spans |= approach_spans(road, name, settings.approach_m, where("approaches"))
+        for row, (low, high) in approach_spans(road, name, settings.approach_m, where("approaches")).items():
+            known = spans.get(row, (low, high))  # by another approach that has the lane before it too
+            spans[row] = min(low, known[0]), high
     rows = {lane.name: row for row, lane in enumerate(road.lanes)}
     for name in settings.lanes or ():
         if name not in rows:

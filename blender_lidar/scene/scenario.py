@@ -187,7 +187,7 @@ class Scenario:
     def mounting(self, table: Mapping[str, float | None], where: str = "mounting") -> Mounting:
         """The mounting that some coordinates give [m, degrees]: see `mounting_from`.
 
-        Others are as [deployment] or [[lidar]] fixes them, where that is one place, else the baseline's.
+        Others are as [deployment] or [[lidar]] fixes them, at all its places alike, else the baseline's.
         """
         table = self._fixed(table) | table
         moved = any(table.get(key) is not None for key in ("x_m", "y_m"))
@@ -198,14 +198,12 @@ class Scenario:
         return mounting_from(table, self.road_map, self.baseline, where)
 
     def _fixed(self, given: Mapping[str, float | None]) -> dict[str, float]:
-        """What the one place fixes, without what would contradict coordinates that are given."""
-        places = self.deployment.places
-        if len(places) > 1:
-            return {}
+        """What all places fix alike, without what would contradict coordinates that are given."""
+        first, *others = self.deployment.places
         said = [key for key, value in given.items() if value is not None]
         rivals = {rival for key in said if key in MOUNTING_OR_LEAN for rival in MOUNTING_OR_LEAN[key].rivals}
         rivals |= {"facing_deg"} if self.deployment.faces_road else set()
-        fixed = places[0].fixed
+        fixed = {key: value for key, value in first.fixed.items() if all(one.fixed.get(key) == value for one in others)}
         if LEANS[0] not in {*fixed, *said}:  # a direction says nothing without a lean
             rivals |= set(LEANS)
         return {key: value for key, value in fixed.items() if key in MOUNTING_OR_LEAN and key not in rivals}

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from ..names import (
     BARRIERS,
-    BOXES,
+    BOX_KINDS,
     CASTERS,
     CLASSES,
     DEFAULT_CELL_M,
@@ -369,7 +369,7 @@ class BoxSettings:
     """
 
     name: str | None = setting(None)
-    kind: str = setting("structure", allowed=BOXES)
+    kind: str = setting("structure", allowed=BOX_KINDS)
     centre_m: tuple[float, float, float] = setting(**_REACH)
     size_m: tuple[float, float, float] = setting(above=0.0, high=_FARTHEST_M)
     heading_deg: float = setting(0.0, **HEADING)

@@ -28,7 +28,7 @@ from ..world.meshes import SURFACES
 from ..world.needs_blender import blender_room
 from ..world.scenery import Scenery, along_road, barrier, box, boxes_reach, join, road_surface
 from . import usual
-from .mount_checks import check_mount_is_clear, check_outside_of_meshes, extent, mount_notes
+from .mount_checks import check_mount_is_clear, extent, mount_notes
 from .mounting import Mounting
 from .observation import (
     WAY_COLUMNS,
@@ -286,12 +286,11 @@ def prepare(
     names = [one.name or "" for one in scenario.recordings]
     recording, plan = joined_recordings(recordings, names), joined_plans(plans, recordings, names)
     frames = [recording.vehicles(frame) for frame in (*plan.search, *plan.holdout)]
-    check_mount_is_clear(scenario, frames)
+    stands = standing and standing.scenery
+    check_mount_is_clear(scenario, frames, scenery=stands)
     hosts = scenario.each if len(given) == len(scenario.lidars) else [scenario] * len(given)
     for host, mount in zip(hosts, given, strict=True):
-        check_mount_is_clear(host, frames, {"--x, --y": mount})
-    if standing is not None:
-        check_outside_of_meshes(standing.scenery, _hung_for_sure(scenario, given))
+        check_mount_is_clear(host, frames, {"--x, --y": mount}, stands)
     reach = reach_of(scenario, given)
     searched = tuple(_counted(frame, region, reach, objective) for frame in frames[: len(plan.search)])
     held_out = tuple(
@@ -313,17 +312,6 @@ def prepare(
     check_weights(objective, searched, held_out, scenario.where("objective", ""))
     observation, scoring = observation_of(scenario, caster, standing, lidars, bodies), scoring_of(scenario)
     return Site(scenario, observation, scoring, recording, plan, searched, held_out, identity)
-
-
-def _hung_for_sure(scenario: Scenario, given: Sequence[Mounting]) -> dict[str, Mounting]:
-    """Mountings whose place is known, by what errors call them: given ones, baselines, and those that are fixed."""
-    found = {f"--x, --y, --height of LiDAR {number}": mount for number, mount in enumerate(given, start=1)}
-    for one in scenario.each:
-        found[one.where("baseline", "")] = one.baseline
-        for place in one.deployment.places:
-            if not place.bounds:
-                found[one.where("deployment", "")] = place.mounting([])
-    return found
 
 
 def _check_classes(recording: Recording, scenario: Scenario) -> None:

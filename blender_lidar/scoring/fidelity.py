@@ -12,6 +12,7 @@ from itertools import zip_longest
 
 import numpy as np
 
+from ..metrics.metric import grown
 from ..optimise.multi_fidelity import Rung
 from ..scene.observation import Observation
 from ..scene.site import Site
@@ -88,7 +89,6 @@ _SCREEN_CLIMB, _COARSE_CLIMB, _LAST_CLIMB = 24, 15, 14  # samples for each varia
 _COARSE_BEAMS = 4000  # in a turn of the first rung: an eighth of an RS-16's, a thirty-second of an RS-80's
 _MOST_STRIDE = 32
 _FEWEST_COLUMNS = 40  # of a turn, for any stride
-_LARGEST_CELL_M = 0.4  # to which strides let cells grow
 
 
 def coarse_observation(observation: Observation, fidelity: Fidelity) -> Observation:
@@ -115,9 +115,8 @@ def coarse_observation(observation: Observation, fidelity: Fidelity) -> Observat
         phase_rad = fidelity.phase * beams.step_rad
         return beam_lattice(beams.model, beams.rotation_hz, phase_rad=phase_rad, stride=fidelity.stride)
 
-    grown = min(observation.cell_m * math.sqrt(fidelity.stride), _LARGEST_CELL_M)
-    cell_m = max(observation.cell_m, grown)
-    return replace(seen.with_lattices(thinned), cell_m=cell_m, cell_growth=cell_m / observation.cell_m)
+    growth = math.sqrt(fidelity.stride)
+    return replace(seen.with_lattices(thinned), cell_m=grown(observation.cell_m, growth), cell_growth=growth)
 
 
 def coarsest_stride(observation: Observation) -> int:

@@ -368,7 +368,7 @@ def hung_mounting(site: Site, planned: Mounting, fit: RoadFit) -> Mounting:
     return hung_at(pose, road, planned.mast.facing_rad)
 
 
-def against_plan(site: Site, layout: Layout, number: int, fit: RoadFit) -> dict:
+def against_plan(site: Site, layout: Layout, number: int, fit: RoadFit, *, searched: bool = False) -> dict:
     """How a LiDAR hangs beside its plan, and what that costs.
 
     Parameters
@@ -380,6 +380,8 @@ def against_plan(site: Site, layout: Layout, number: int, fit: RoadFit) -> dict:
         Of the LiDAR among them.
     fit : RoadFit
         With the planned yaw as its `facing`.
+    searched : bool
+        Whether a search chose the plan on the searched frames, which then say no interval.
 
     Returns
     -------
@@ -407,7 +409,7 @@ def against_plan(site: Site, layout: Layout, number: int, fit: RoadFit) -> dict:
     with site_evaluator(site, site.search, site.holdout) as evaluator:
         split, judging = evaluator.judging
         tables_of = vehicle_tables([layout, tuple(others)], **{split: judging})
-    seed = site.scenario.search.seed if split == "holdout" else None
+    seed = site.scenario.search.seed if split == "holdout" or not searched else None
     boxes = BoxShares.of_split(*tables_of, split, site.plan, seed)
     shares = boxes.shares()
     return {

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..road.road_map import RoadMap
-from .meshes import PERSON, VEGETATION
+from .meshes import CYCLIST, PERSON, VEGETATION
 from .scenery import Scenery, along_road, barrier, box, join, structure
 
 _CELL_M = 50.0  # along the road: what stands in a cell depends on the seed alone, not on how far one looks
@@ -228,4 +228,4 @@ def _pedestrian(x: float, y: float, heading: float, tall: float) -> Scenery:
 def _cyclist(x: float, y: float, heading: float, tall: float) -> Scenery:
     """A cycle and its rider, as boxes."""
     rider = box("rider", (x, y, 0.72 * tall), (0.5, 0.45, 0.5 * tall), heading)
-    return _one("cyclist", box("cycle", (x, y, 0.5), (1.75, 0.1, 1.0), heading), rider, surface=PERSON)
+    return _one("cyclist", box("cycle", (x, y, 0.5), (1.75, 0.1, 1.0), heading), rider, surface=CYCLIST)

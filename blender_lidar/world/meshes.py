@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 # What a triangle is made of; its index is stored per triangle.
-SURFACES = ("paint", "glass", "road", "structure", "building", "vegetation", "person")
-PAINT, GLASS, ROAD, STRUCTURE, BUILDING, VEGETATION, PERSON = range(7)
+SURFACES = ("paint", "glass", "road", "structure", "building", "vegetation", "person", "cyclist")
+PAINT, GLASS, ROAD, STRUCTURE, BUILDING, VEGETATION, PERSON, CYCLIST = range(8)
 _STEPS = 200  # of a reflectivity from 0 to 1: a surface for each, of materials of the user's own
 # Diffuse, at 905 nm, of `SURFACES`: round numbers, not measurements; and of the surfaces by `surface_of`.
-REFLECTIVITY = np.concatenate([[0.5, 0.1, 0.2, 0.3, 0.3, 0.3, 0.3], np.arange(_STEPS + 1) / _STEPS])
+REFLECTIVITY = np.concatenate([[0.5, 0.1, 0.2, 0.3, 0.3, 0.3, 0.3, 0.3], np.arange(_STEPS + 1) / _STEPS])
 
 _EQUAL = 1e-9  # relative: lengths that differ by less are equal
 

@@ -12,7 +12,7 @@ from mathutils import Euler, Matrix
 from ...errors import InputError
 from ...sensors.beams import BeamLattice, beam_directions
 from ...sensors.pose import Pose, tilts_of
-from ..meshes import BUILDING, GLASS, PAINT, PERSON, STRUCTURE, SURFACES, VEGETATION, tube
+from ..meshes import BUILDING, CYCLIST, GLASS, PAINT, PERSON, STRUCTURE, SURFACES, VEGETATION, tube
 from ..scenery import Scenery
 
 # --- What an object of ours stands for, kept in a custom property, so that a scene can be read back and shown again -
@@ -282,7 +282,8 @@ def glass() -> bpy.types.Material:
 # --- What stands beside the road ------------------------------------------------------------------------------------
 
 
-_STANDS = {STRUCTURE: CONCRETE, BUILDING: (0.42, 0.36, 0.3), VEGETATION: (0.1, 0.22, 0.06), PERSON: (0.3, 0.2, 0.2)}
+_STANDS = {STRUCTURE: CONCRETE, BUILDING: (0.42, 0.36, 0.3), VEGETATION: (0.1, 0.22, 0.06)}
+_STANDS |= dict.fromkeys((PERSON, CYCLIST), (0.3, 0.2, 0.2))
 
 
 def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
