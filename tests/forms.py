@@ -39,7 +39,8 @@ NO_ROAD_HAS = {("clutter", "approaches")}  # both: refused with any
 LANES_Y, WIDTH_M, ONCOMING_Y = (3.75, 7.25), 3.5, (14.75, 18.25)
 ORIGIN_M, HEADING_DEG = (1000.0, 500.0), 30.0  # of a recording that is turned
 _STEP_S, _SPEED_M_S = 2.0, 10.0
-BOX = {"name": "house", "kind": "building", "centre_m": [-5.0, 10.6, 1.5], "size_m": [3.0, 1.0, 3.0]}
+# Between masts and lanes, where it hides what passes behind it.
+BOX = {"name": "house", "kind": "building", "centre_m": [1.0, 1.3, 1.2], "size_m": [2.5, 0.5, 2.4]}
 _HEADER = (
     "frame",
     "vehicle_id",
@@ -272,6 +273,12 @@ def lidars(form: Mapping[str, str]) -> list[dict[str, object]]:
     return [{"name": name, **stand} for name, stand in zip(("west", "east"), stands, strict=False)]
 
 
+def house_of(form: Mapping[str, str]) -> dict[str, object]:
+    """The house as an entry of [[world.boxes]]; on a map with heights the road lies 2 m high there."""
+    x, y, z = BOX["centre_m"]
+    return {**BOX, "centre_m": [x, y, z + 2.0 * (form["road"] == "heights")]}
+
+
 def _moved_net(motion: Motion) -> str:
     """The net's places, pairs "x,y" of its shapes, moved."""
 
@@ -326,7 +333,9 @@ def write_form(folder: Path, form: Mapping[str, str], motion: Motion = AS_IT_LIE
     poles = {"north": (-6.0, -0.6), "middle": (1.5, -0.8), "south": (7.0, -0.7)}
     lines = ["{},{!r},{!r}".format(name, *motion.site(place).tolist()) for name, place in poles.items()]
     (folder / "poles.csv").write_text("\n".join(["name,x_m,y_m", *lines, ""]), encoding="utf-8")
-    corners = np.array([(x, y, z) for x in (-6.5, -3.5) for y in (10.1, 11.1) for z in (0.0, 3.0)])
+    house = house_of(form)
+    half = np.array(list(product((-0.5, 0.5), repeat=3)))
+    corners = house["centre_m"] + half * house["size_m"]
     quads = (1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)
     lines = [f"v {x} {y} {z}" for x, y, z in corners] + ["f " + " ".join(map(str, quad)) for quad in quads]
     (folder / "house.obj").write_text("\n".join([*lines, ""]), encoding="utf-8")
@@ -339,7 +348,7 @@ def write_form(folder: Path, form: Mapping[str, str], motion: Motion = AS_IT_LIE
         "search": {"particles": 4, "iterations": 2},
         "model": {"caster": CASTER, "workers": 1},
     }
-    world = {"box": {"boxes": [BOX]}, "mesh": {"mesh": "house.obj", "up": "z"}, "blend": {"blend": "house.blend"}}
+    world = {"box": {"boxes": [house]}, "mesh": {"mesh": "house.obj", "up": "z"}, "blend": {"blend": "house.blend"}}
     world["clutter"] = {"clutter": 1.0}
     if form["scenery"] in world:
         tables["world"] = world[form["scenery"]]
