@@ -312,8 +312,12 @@ def rows(path: str) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def test_evaluate_without_a_mounting_is_the_baseline(tmp_path, capsys):
-    assert run(capsys, "evaluate", write_scene(tmp_path), "--out", "run")[0] == 0
+def test_evaluate_without_a_mounting_is_as_the_scene_fixes_it_else_the_baseline(tmp_path, capsys):
+    assert run(capsys, "evaluate", write_scene(tmp_path), "--out", "fixed")[0] == 0
+    found = json.loads(Path("fixed/result.json").read_text())["deployment"]
+    assert (found["height_m"], found["tilt_x_deg"]) == (2.0, pytest.approx(15.0))
+    searched = write_scene(tmp_path, {"deployment": {"tilt_x_deg": [0.0, 25.0]}})
+    assert run(capsys, "evaluate", searched, "--out", "run")[0] == 0
     result = json.loads(Path("run/result.json").read_text())
     assert result["deployment"] == result["baseline"]["deployment"]
     assert result["objective"] == result["baseline"]["objective"]

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
+pytest.importorskip("scipy", reason="SciPy is not installed")
 
 import tests.research  # noqa: F401
+from scipy import stats
 from compare_kitti import BEARINGS, main
 from resampled_correlations import (
     Clusters,

@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+pytest.importorskip("scipy", reason="SciPy is not installed")
+
 import tests.research  # noqa: F401
 from blender_lidar.clouds.rings import table_rings
 from blender_lidar.metrics.assignment import NO_BOX, points_in_boxes
