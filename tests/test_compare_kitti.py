@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 pytest.importorskip("scipy", reason="SciPy is not installed")
 
 import tests.research  # noqa: F401
