@@ -188,7 +188,7 @@ def test_the_baseline_alone_is_judged_alone_and_without_matplotlib_there_is_no_p
     scene, tmp_path, capsys, monkeypatch
 ):
     without_charts(monkeypatch)
-    out, err = done(capsys, "detect", scene, "--out", tmp_path / "found")
+    out, err = done(capsys, "detect", scene, "--tilt-x", 0, "--out", tmp_path / "found")
     assert "under the baseline" not in out
     assert "note: no picture: charts need matplotlib" in err
     assert sorted(path.name for path in (tmp_path / "found").iterdir()) == [
@@ -292,7 +292,7 @@ def test_lost_returns_and_noise_leave_the_background_where_it_is(scene, tmp_path
 def test_results_take_the_place_of_earlier_ones(scene, tmp_path, capsys):
     done(capsys, "detect", scene, *MOUNT, *CLASSICAL, "--out", tmp_path / "found")
     (tmp_path / "found" / "label_2" / "999999.txt").touch()
-    done(capsys, "detect", scene, *CLASSICAL, "--out", tmp_path / "found")
+    done(capsys, "detect", scene, "--tilt-x", 0, *CLASSICAL, "--out", tmp_path / "found")
     assert not (tmp_path / "found" / "detections_baseline.csv").exists()
     assert not (tmp_path / "found" / "label_2" / "999999.txt").exists()
     assert not list((tmp_path / "found" / "label_2_baseline").iterdir())
