@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from ..errors import InputError, MissingExtraError, unknown_name
 from ..plugins import IN_A_FILE
-from ..scene.deployment import MOUNTING_OR_LEAN, Pole
+from ..scene.deployment import MOUNTING_OR_LEAN, fixed_beside
 from ..scene.mounting import Layout, Mounting
 from ..scene.settings import DECLARED, INSTALLER
 from ..toml_table import Setting, checked, limits_text, settings_of
@@ -198,17 +198,8 @@ def mounting_from(args: argparse.Namespace, scenario: Scenario) -> Mounting:
             allowed = f"{low:g} m above the road or more"
         if height is not None and not low <= height <= high:
             raise InputError(f"--height: is {height:g}; allowed on pole {pole.name}: {allowed}")
-        given = _fixed_on(scenario, pole, given) | given
+        given = fixed_beside(scenario.deployment.at(pole).fixed, given) | given
     return scenario.mounting(given)
-
-
-def _fixed_on(scenario: Scenario, pole: Pole, given: Mapping[str, object]) -> dict[str, float]:
-    """What is fixed on a candidate pole, without what would contradict coordinates that are given."""
-    rivals = {rival for key in given for rival in MOUNTING_OR_LEAN[key].rivals}
-    fixed = scenario.deployment.at(pole).fixed
-    if "lean_deg" not in {*fixed, *given}:  # a direction says nothing without a lean
-        rivals |= {"lean_direction_deg", "spin_deg"}
-    return {key: value for key, value in fixed.items() if key in MOUNTING_OR_LEAN and key not in rivals}
 
 
 def layout_from(args: argparse.Namespace, scenario: Scenario) -> Layout:
@@ -274,7 +265,7 @@ def _mounting_of(scenario: Scenario, given: Mapping[str, object], where: str) ->
         if place := next((key for key in ("x_m", "y_m") if key in pairs), None):
             raise InputError(f"{where}: {place}: is given beside pole; allowed: one of both")
         pole = scenario.deployment.pole_named(str(given["pole"]), f"{where}: pole")
-        hung = _fixed_on(scenario, pole, pairs)
+        hung = fixed_beside(scenario.deployment.at(pole).fixed, pairs)
     return scenario.mounting(hung | pairs, where)
 
 

@@ -18,7 +18,7 @@ from ..toml_table import Setting, setting, settings_of
 from .mounting import ANGLES, LEANS, Layout, Mounting, mounting_from
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Iterable, Sequence
 
     from ..road.road_map import RoadMap
 
@@ -265,6 +265,14 @@ class Place:
         if self.towards is not None:
             table["facing_deg"] = facing_deg((table["x_m"], table["y_m"]), self.towards)
         return mounting_from(table, map_of(self.road) if self.map is None else self.map)
+
+
+def fixed_beside(fixed: Mapping[str, float], given: Collection[str]) -> dict[str, float]:
+    """Of the coordinates that a place fixes those that do not contradict the ones that are given, by their names."""
+    rivals = {rival for key in given if key in MOUNTING_OR_LEAN for rival in MOUNTING_OR_LEAN[key].rivals}
+    if LEANS[0] not in {*fixed, *given}:  # a direction says nothing without a lean
+        rivals |= set(LEANS)
+    return {key: value for key, value in fixed.items() if key in MOUNTING_OR_LEAN and key not in rivals}
 
 
 def facing_deg(xy: Sequence[float], towards: Sequence[float]) -> float:

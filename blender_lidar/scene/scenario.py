@@ -18,7 +18,7 @@ from ..road.road_map import RoadMap
 from ..road.straight import StraightRoad
 from ..toml_table import read_toml
 from ..traffic.presets import meta_files
-from .deployment import BASELINE, MOUNTING_OR_LEAN, Deployment, Installer
+from .deployment import BASELINE, Deployment, Installer, fixed_beside
 from .lidars import (
     OF_ANY_MODEL,
     HungLidar,
@@ -29,7 +29,7 @@ from .lidars import (
     sensor_from,
     with_installers,
 )
-from .mounting import LEANS, MOUNTED, Layout, Mounting, mounting_from
+from .mounting import MOUNTED, Layout, Mounting, mounting_from
 from .places import baseline_from, deployment_from
 from .region import region_of
 from .roads import road_from, road_map_from
@@ -200,13 +200,10 @@ class Scenario:
     def _fixed(self, given: Mapping[str, float | None]) -> dict[str, float]:
         """What all places fix alike, without what would contradict coordinates that are given."""
         first, *others = self.deployment.places
-        said = [key for key, value in given.items() if value is not None]
-        rivals = {rival for key in said if key in MOUNTING_OR_LEAN for rival in MOUNTING_OR_LEAN[key].rivals}
-        rivals |= {"facing_deg"} if self.deployment.faces_road else set()
         fixed = {key: value for key, value in first.fixed.items() if all(one.fixed.get(key) == value for one in others)}
-        if LEANS[0] not in {*fixed, *said}:  # a direction says nothing without a lean
-            rivals |= set(LEANS)
-        return {key: value for key, value in fixed.items() if key in MOUNTING_OR_LEAN and key not in rivals}
+        if self.deployment.faces_road:
+            fixed.pop("facing_deg", None)
+        return fixed_beside(fixed, [key for key, value in given.items() if value is not None])
 
     @property
     def files(self) -> dict[tuple[str, str], str]:
