@@ -33,7 +33,6 @@ from ..errors import InputError
 from ..metrics.catalogue import metric_named
 from ..report.summary import (
     as_hung_word,
-    better_than_baseline,
     doubt,
     each_lidar,
     errors_text,
@@ -391,8 +390,7 @@ def result_lines(result: Mapping) -> list[str]:
     for name, row in each_lidar(result).items():
         place = mounting_text(row["deployment"], leans=leans(row)).removeprefix("height ")
         lines.append(f"{name}: {place}" if name else place)
-    if why := doubt(result) if better_than_baseline(result) else "Nothing that was tried is better than the baseline":
-        lines.append(why)
+    lines += filter(None, [doubt(result)])
     if judged(result)[0] is result:
         return lines
     if result.get("cross_fitted"):

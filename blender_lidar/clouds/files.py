@@ -65,8 +65,8 @@ def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
             columns["lidar"] = held.get("lidar", np.zeros(len(names), dtype=np.uint8))
             columns["label"] = held.get("label", np.full(len(names), NO_LABEL, dtype=np.int32))
             surfaces = held.get("surface", np.full(len(names), SURFACES[ROAD])).ravel().tolist()
-            known = {name: number for number, name in enumerate(SURFACES)}
-            columns["surface"] = np.array([known.get(name, STRUCTURE) for name in surfaces], np.uint8)
+            number_of = {name: number for number, name in enumerate(SURFACES)}
+            columns["surface"] = np.array([number_of.get(name, STRUCTURE) for name in surfaces], np.uint8)
             _check_cloud(columns, names, header)
             if TO_SITE in header:
                 matrix = np.array(header[TO_SITE], dtype=float).reshape(4, 4).T

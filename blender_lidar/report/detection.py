@@ -31,8 +31,8 @@ def detection_text(result: Mapping) -> str:
     said = f"At confidence 0.3 the detector finds {_percent(given['recall_0.3'])} % of the vehicles"
     if "baseline" in result["mountings"]:
         said += f" instead of {_percent(result['mountings']['baseline']['recall_0.3'])} % under the baseline"
-        difference, ends = _difference(given["over_baseline"]["recall_0.3"]) if "over_baseline" in given else ("-", "-")
-        said += "" if "-" in (difference, ends) else f", {difference} points ({ends})"
+        over = given.get("over_baseline", {}).get("recall_0.3")
+        said += ", {} points ({})".format(*_difference(over)) if over and over["interval_90"] else ""
     if given["precision_0.3"] is not None:
         said += f", and {_percent(given['precision_0.3'])} % of what it finds are vehicles"
     if given["with_return"] is not None:

@@ -242,7 +242,7 @@ def plot_by_distance(path: str | Path, run: RunFolder) -> None:
         if not score.dataLim.y0 < 0.0:
             score.set_ylim(bottom=0.0)
         handles += _draw_counts(count, centre_m, counts)
-        labels = {"xlabel": f"Horizontal distance from the {nearest}LiDAR [m]", "ylabel": "Vehicles\n[number]"}
+        labels = {"xlabel": f"Horizontal distance from the {nearest}LiDAR [m]", "ylabel": "Boxes\n[number]"}
         count.set(xlim=(0.0, edges_m[-1]), ylim=(0.0, None), **labels)
         count.yaxis.get_major_locator().set_params(integer=True)
         for axes in (share, score, count):
@@ -391,6 +391,6 @@ def _draw_counts(axes: Axes, centre_m: np.ndarray, counts: list[np.ndarray]) -> 
         for chosen, look in ((count >= FEWEST_VEHICLES, solid), (count < FEWEST_VEHICLES, hollow)):
             axes.bar((centre_m + shift * BAND_M)[chosen], count[chosen], width * BAND_M, **look)
     return [
-        Patch(label="vehicles, over all frames" + ("" if alike else " (baseline left)"), **solid),
+        Patch(label="boxes (a vehicle in a frame)" + ("" if alike else " (baseline left)"), **solid),
         Patch(label=f"fewer than {FEWEST_VEHICLES}: not averaged", **hollow),
     ]

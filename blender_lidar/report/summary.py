@@ -538,15 +538,16 @@ def _what_to_do(result):
     if not was_searched(result):
         return f"The {hung}"
     what = "mounting" if len(places) == 1 else "layout"
-    if not better_than_baseline(result):
-        return f"No {what} that was tried is better than the baseline; the best of them has the {hung}"
     if why := doubt(result):
         return f"{why}; the best {what} found has the {hung}"
     return f"Hang the {hung}"
 
 
 def doubt(result: Mapping) -> str:
-    """Why the traffic that judges does not carry the advice to hang a LiDAR there; "" where it does."""
+    """Why what was searched or what judges does not carry the advice to hang a LiDAR there; "" where both do."""
+    if not better_than_baseline(result):
+        what = "mounting" if len(each_lidar(result)) == 1 else "layout"
+        return f"No {what} that was tried is better than the baseline"
     found, base, on = judged_hung(result)
     ends, shares, on = found.get("interval_90"), found["detectable_share_gain_interval_90"], f"{on[0].upper()}{on[1:]}"
     if judged(result)[0] is result:
