@@ -25,9 +25,10 @@ from blender_lidar.sensors.beams import beam_directions
 from blender_lidar.sensors.identify import elevations, identify_sensor, nearest_ring
 from blender_lidar.sensors.model import load_model, model_names, unit_of
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.studies.commission import against_plan, commission
+from blender_lidar.studies.commission import against_plan, commission, hung_mounting
 from blender_lidar.studies.road_fit import Estimate
 from blender_lidar.toml_table import read_toml
+from tests.forms import write_form
 from tests.refusals import refused
 from tests.small_scene import cli
 
@@ -325,6 +326,16 @@ def test_clouds_of_a_moving_lidar_are_refused():
         clouds.append(np.concatenate([points, rng.uniform(8.0, 40.0, (6000, 1)) * way]))
     with pytest.raises(InputError, match="stands still from cloud to cloud"):
         commission(clouds, list("abcd"))
+
+
+def test_on_a_road_that_lies_higher_a_lidar_hangs_as_high_above_it(tmp_path):
+    form = {"road": "heights", "scenery": "none", "lidars": "short", "placing": "fixed", "region": "disc"}
+    site = prepare(load_scenario(write_form(tmp_path, form | {"recorded": "here", "scored": "plain"})))
+    planned = site.scenario.mounting({"height_m": 4.0})
+    points, mounting = hung("OS1-64")
+    hangs = hung_mounting(site, planned, commission([points], ["cloud"]).fit)
+    assert planned.pose.height_m > 5.5  # the road lies some 2 m above z = 0 here
+    assert hangs.height_m == pytest.approx(mounting.height_m, abs=0.03)
 
 
 # --- The verb ---------------------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from blender_lidar.casting import is_available
 from blender_lidar.cli import main
 from blender_lidar.clouds.files import read_cloud
 from blender_lidar.errors import InputError
+from blender_lidar.run import what_if
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.scene.mounting import COORDINATES, Layout
 from blender_lidar.scene.scenario import load_scenario, scenario_of
@@ -85,6 +86,15 @@ class Formed:
             return [f"--{key.rpartition('_')[0].replace('_', '-')}={value!r}" for key, value in given[""].items()]
         pairs = {name: ",".join(f"{key}={value!r}" for key, value in own.items()) for name, own in given.items()}
         return [word for name, own in pairs.items() for word in ("--lidar", f"{name},{own}")]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_mix():
+    """Of other traffic, which takes longer than the runs and has tests of its own, one mix."""
+    mixes = what_if.mixes
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(what_if, "mixes", lambda *given: mixes(*given)[:1])
+        yield
 
 
 @pytest.fixture(scope="module", params=FORMS, ids=IDS)
