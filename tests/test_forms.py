@@ -36,6 +36,7 @@ pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 FORMS = covering(FACTORS, {*REFUSED, *NO_ROAD_HAS})
 IDS = ["-".join(form.values()) for form in FORMS]
+BARE = next(n for n, form in enumerate(FORMS) if form["scenery"] == "none" and form["road"] == "straight")
 GOLDEN = Path(__file__).with_name("golden_forms.json")
 needs_bpy = pytest.mark.skipif(not is_available("bvh"), reason="needs bpy")
 
@@ -248,6 +249,24 @@ def test_the_panel_judges_as_the_command_line_does(formed, registered_addon):
     assert dict(unlike(panel, line)).keys() <= {"scene", "site"}  # what an open file is called
     left = [{path.name for path in (formed.folder / name).iterdir()} for name in ("panel", "line")]
     assert left[0] == left[1] >= {"report.html", "result.json"}
+
+
+@needs_bpy
+@pytest.mark.parametrize("formed", FORMS[BARE : BARE + 1], ids=IDS[BARE : BARE + 1], indirect=True)
+def test_in_a_run_of_the_panel_a_house_of_the_open_file_hides_what_it_hides_of_a_scene_file(formed, registered_addon):
+    import bpy
+
+    bpy.context.scene.blender_lidar.traffic.path = str(formed.path)
+    assert bpy.ops.blender_lidar.load() == {"FINISHED"}
+    points = []
+    for name in ("without", "with"):
+        assert bpy.ops.blender_lidar.export_run(directory=str(formed.folder / name)) == {"FINISHED"}
+        points.append([int(row["points"]) for row in rows_of(formed.folder / name / "vehicles.csv")])
+        bpy.ops.mesh.primitive_cube_add(size=1.0, location=BOX["centre_m"])
+        bpy.context.object.scale = BOX["size_m"]
+    bare, hidden = map(np.array, points)
+    assert (hidden <= bare).all()
+    assert hidden.sum() < 0.9 * bare.sum()
 
 
 @pytest.mark.skipif(CASTER == "exact", reason="searches by the exact caster take minutes")
