@@ -28,6 +28,7 @@ FACTORS: dict[str, tuple[str, ...]] = {
     "recorded": ("here", "turned"),
     "scored": ("plain", "weights", "noise", "installer"),
 }
+USUAL = {name: values[0] for name, values in FACTORS.items()}
 REFUSED: dict[tuple[str, str], str] = {
     **{(road, "clutter"): "lie along a straight road" for road in ("net", "opendrive", "heights", "driven")},
     **{(road, "approaches"): "is of a map; allowed: with" for road in ("straight", "two_way", "driven")},

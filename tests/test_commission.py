@@ -28,7 +28,7 @@ from blender_lidar.sensors.pose import Pose
 from blender_lidar.studies.commission import against_plan, commission, hung_mounting
 from blender_lidar.studies.road_fit import Estimate
 from blender_lidar.toml_table import read_toml
-from tests.forms import write_form
+from tests.forms import USUAL, write_form
 from tests.refusals import refused
 from tests.small_scene import cli
 
@@ -329,8 +329,7 @@ def test_clouds_of_a_moving_lidar_are_refused():
 
 
 def test_on_a_road_that_lies_higher_a_lidar_hangs_as_high_above_it(tmp_path):
-    form = {"road": "heights", "scenery": "none", "lidars": "short", "placing": "fixed", "region": "disc"}
-    site = prepare(load_scenario(write_form(tmp_path, form | {"recorded": "here", "scored": "plain"})))
+    site = prepare(load_scenario(write_form(tmp_path, USUAL | {"road": "heights"})))
     planned = site.scenario.mounting({"height_m": 4.0})
     points, mounting = hung("OS1-64")
     hangs = hung_mounting(site, planned, commission([points], ["cloud"]).fit)

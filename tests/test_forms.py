@@ -29,14 +29,13 @@ from blender_lidar.scene.mounting import COORDINATES, Layout
 from blender_lidar.scene.scenario import load_scenario, scenario_of
 from blender_lidar.scene.site import Site, prepare
 from blender_lidar.world.meshes import BUILDING, ROAD
-from tests.forms import BOX, FACTORS, NO_ROAD_HAS, REFUSED, covering, house_of, write_form
+from tests.forms import BOX, FACTORS, NO_ROAD_HAS, REFUSED, USUAL, covering, house_of, write_form
 from tests.small_scene import CASTER, cli, without_charts, without_times
 
 pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 FORMS = covering(FACTORS, {*REFUSED, *NO_ROAD_HAS})
 IDS = ["-".join(form.values()) for form in FORMS]
-BARE = next(n for n, form in enumerate(FORMS) if form["scenery"] == "none" and form["road"] == "straight")
 GOLDEN = Path(__file__).with_name("golden_forms.json")
 needs_bpy = pytest.mark.skipif(not is_available("bvh"), reason="needs bpy")
 
@@ -91,7 +90,7 @@ class Formed:
 
 @pytest.fixture(autouse=True, scope="module")
 def one_mix():
-    """Of other traffic, which takes longer than the runs and has tests of its own, one mix."""
+    """Look at one mix of other traffic: all of them take longer than the runs, and have tests of their own."""
     mixes = what_if.mixes
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(what_if, "mixes", lambda *given: mixes(*given)[:1])
@@ -135,9 +134,7 @@ def unlike(one: object, other: object, name: str = "") -> Iterator[tuple[str, ob
 
 @pytest.mark.parametrize("pair", REFUSED, ids="-".join)
 def test_forms_that_do_not_go_together_are_refused_in_one_line(pair, tmp_path):
-    usual = {"road": "straight", "scenery": "none", "lidars": "short", "placing": "fixed", "region": "disc"}
-    usual |= {"recorded": "here", "scored": "plain"}
-    form = {name: next((one for one in pair if one in values), usual[name]) for name, values in FACTORS.items()}
+    form = {name: next((one for one in pair if one in values), USUAL[name]) for name, values in FACTORS.items()}
     with pytest.raises(InputError, match=REFUSED[pair]) as caught:
         load_scenario(write_form(tmp_path, form))
     assert "\n" not in str(caught.value)
@@ -252,21 +249,26 @@ def test_the_panel_judges_as_the_command_line_does(formed, registered_addon):
 
 
 @needs_bpy
-@pytest.mark.parametrize("formed", FORMS[BARE : BARE + 1], ids=IDS[BARE : BARE + 1], indirect=True)
-def test_in_a_run_of_the_panel_a_house_of_the_open_file_hides_what_it_hides_of_a_scene_file(formed, registered_addon):
+def test_in_a_run_of_the_panel_an_object_of_the_open_file_hides_what_a_box_of_a_scene_file_does(
+    tmp_path, registered_addon
+):
     import bpy
 
-    bpy.context.scene.blender_lidar.traffic.path = str(formed.path)
+    from blender_lidar.addon import properties, scenarios
+
+    bare, boxed = (Formed(USUAL | {"scenery": name}, tmp_path / name) for name in ("none", "box"))
+    scene = bpy.context.scene
+    scene.blender_lidar.traffic.path = str(bare.path)
     assert bpy.ops.blender_lidar.load() == {"FINISHED"}
-    points = []
-    for name in ("without", "with"):
-        assert bpy.ops.blender_lidar.export_run(directory=str(formed.folder / name)) == {"FINISHED"}
-        points.append([int(row["points"]) for row in rows_of(formed.folder / name / "vehicles.csv")])
-        bpy.ops.mesh.primitive_cube_add(size=1.0, location=BOX["centre_m"])
-        bpy.context.object.scale = BOX["size_m"]
-    bare, hidden = map(np.array, points)
-    assert (hidden <= bare).all()
-    assert hidden.sum() < 0.9 * bare.sum()
+    bpy.ops.mesh.primitive_cube_add(size=1.0, location=BOX["centre_m"])
+    bpy.context.object.scale = BOX["size_m"]
+    assert bpy.ops.blender_lidar.export_run(directory=str(tmp_path / "panel")) == {"FINISHED"}
+    words = bare.words((properties.mounting_of(scenarios.active_lidar(scene)),))
+    for formed in (bare, boxed):
+        assert main(["evaluate", str(formed.path), *words, "--out", str(formed.folder / "line")]) == 0
+    folders = tmp_path / "panel", boxed.folder / "line", bare.folder / "line"
+    panel, line, without = ([int(row["points"]) for row in rows_of(folder / "vehicles.csv")] for folder in folders)
+    assert panel == line != without
 
 
 @pytest.mark.skipif(CASTER == "exact", reason="searches by the exact caster take minutes")

@@ -12,21 +12,14 @@ from blender_lidar.scene.directions import pointing
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
-from tests.forms import AS_IT_LIES, Motion, write_form
+from tests.forms import AS_IT_LIES, USUAL, Motion, write_form
 from tests.small_scene import CASTER
 
 pytestmark = pytest.mark.versions
 
 ANGLE_DEG = 37.0
 MOVED = Motion(ANGLE_DEG, map_m=(512.25, -301.5))
-PLAIN = {
-    "scenery": "box",
-    "lidars": "short",
-    "placing": "lean",
-    "region": "disc",
-    "recorded": "here",
-    "scored": "plain",
-}
+PLAIN = USUAL | {"scenery": "box", "placing": "lean"}
 FORMS = [
     {"road": "net"},
     {"road": "net", "region": "approaches", "lidars": "two", "placing": "poles"},
