@@ -8,13 +8,11 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 
-import blender_lidar
 from blender_lidar.addon import handlers, operators, properties, scenarios, session
 from blender_lidar.cli import main as command_line
 from blender_lidar.scene.scenario import load_scenario
-from blender_lidar.world.blender.objects import CLOUD, KEY, PART, hang, lidars, role
+from blender_lidar.world.blender.objects import CLOUD, PART, hang, lidars, role
 from blender_lidar.world.blender.points import STYLES, cloud_of, colours_by, set_look, show_cloud
-from blender_lidar.world.blender.site import open_scenery
 from tests.addon_sample import (
     FOLDER,
     FRAME,
@@ -189,40 +187,6 @@ def check_a_lidar_that_cannot_be_completed_is_tried_once():
     assert len(lidars(scene)) == 2
 
 
-def check_files_of_before_are_taken_over():
-    lidar = loaded()[1]
-    place = coordinates_of(lidar)
-    blender_lidar.unregister()
-    for block in (*bpy.data.objects, *bpy.data.collections, *bpy.data.materials, *bpy.data.meshes):
-        if KEY in block:
-            kind = block[KEY]
-            for key in {KEY, "blender_lidar"} & set(block.keys()):
-                del block[key]
-            block["blender_lidar"] = kind
-    lidar["lidar"] = {"schema": 1, "name_": 23, "colour_by": 1, "range_gate_m": 42.0, "live": 0, "points": 7}
-    path = str(FOLDER / "before.blend")
-    bpy.ops.wm.save_as_mainfile(filepath=path)
-    blender_lidar.register()
-    bpy.ops.wm.open_mainfile(filepath=path)
-    (lidar,) = lidars(bpy.context.scene)
-    assert scenarios.lidars_of(bpy.context.scene) == [lidar]
-    group = lidar.blender_lidar
-    assert (group.name_, group.colour_by, group.range_gate_m, group.points) == ("VLP-16", "ring", 42.0, 7)
-    assert "lidar" not in lidar
-    assert coordinates_of(lidar) == place
-    scene = new_file()
-    with bpy.data.libraries.load(path, link=True) as (there, here):
-        here.collections = [name for name in there.collections if name == "LiDAR"]
-    scene.collection.children.link(here.collections[0])
-    assert {child.name.split(".")[0]: role(child) for child in lidars(scene)[0].children}["Head"] == PART
-    bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "links.blend"))
-    bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "links.blend"))
-    (lidar,) = scenarios.lidars_of(bpy.context.scene)
-    assert lidar.library is not None
-    assert lidar.blender_lidar.name_ == "VLP-16"
-    assert not len(open_scenery(bpy.context.scene, bpy.context.view_layer))
-
-
 def check_what_a_deleted_lidar_wore_goes_with_it():
     scene = loaded()[0]
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
@@ -302,13 +266,10 @@ def materials_of(cloud):
     return set()
 
 
-def check_a_cloud_of_an_older_file_is_shown_after_a_scan_and_groups_of_the_users_own_stay():
+def check_a_cloud_without_a_look_is_given_one_and_groups_of_the_users_own_stay():
     _, lidar = loaded()
     cloud = show_cloud(lidar, any_points())
-    old = bpy.data.node_groups.new("LiDAR points", "GeometryNodeTree")
-    old["blender_lidar_role"] = "LiDAR points"
-    cloud.modifiers[0].node_group = old
-    cloud.data.attributes.new("colour", "FLOAT_COLOR", "POINT")
+    cloud.modifiers[0].node_group = None
     points = any_points(count=300, seed=2)
     assert show_cloud(lidar, points, "ring") == cloud
     np.testing.assert_allclose(colours_shown(cloud), colours_by("ring", points), atol=2e-6)

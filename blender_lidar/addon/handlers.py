@@ -6,7 +6,7 @@ from bpy.app.handlers import persistent
 from ..errors import BlenderLidarError, one_line
 from ..world.blender.objects import frame_of, holds, is_lidar, lidars
 from ..world.blender.road import show_ground
-from . import earlier, operators, properties, scenarios, session
+from . import operators, properties, scenarios, session
 
 classes = ()
 _failed: set[str] = set()  # scenes that could not be taken over, which is not tried again at every update
@@ -18,7 +18,6 @@ def on_load(*_) -> None:
     """Let go of what the file before had, and take over what this one was built with."""
     session.forget()
     _failed.clear()
-    earlier.migrate()
     adopt_all()
     for scene in bpy.data.scenes:  # a render may need them, in which none can be read
         properties.guarded(session.bodies_shown)(scene)

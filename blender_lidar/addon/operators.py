@@ -113,14 +113,6 @@ def show_site(scene: bpy.types.Scene, recording: Recording, frame: int, scenery:
     show_recording(scene, recording, *place, session.bodies_shown(scene))
 
 
-def show_loaded(scene: bpy.types.Scene) -> Recording:
-    """Read a scene's traffic as its fields say, and show it with its road."""
-    scenery = _standing(scenarios.scenario_from(scene, scenarios.active_lidar(scene)))
-    recording = session.recording_of(scene)
-    show_site(scene, recording, scene.blender_lidar.known_frame, scenery)
-    return recording
-
-
 class BLENDER_LIDAR_OT_load(bpy.types.Operator):
     """Read the traffic file, or the scene file, and show its road and vehicles"""
 
@@ -134,7 +126,9 @@ class BLENDER_LIDAR_OT_load(bpy.types.Operator):
         if path.suffix.lower() == ".toml":
             return _fill_from_file(self, context, path)
         scene.blender_lidar.clip &= path.name == session.CLIP[0]
-        recording = show_loaded(scene)
+        scenery = _standing(scenarios.scenario_from(scene, scenarios.active_lidar(scene)))
+        recording = session.recording_of(scene)
+        show_site(scene, recording, scene.blender_lidar.known_frame, scenery)
         if (lidar := scenarios.active_lidar(scene)) is not None:
             scenarios.select(context, lidar)
             live.frame_site(lidar, lidar.blender_lidar.range_gate_m)
@@ -351,7 +345,7 @@ def adopt(scene: bpy.types.Scene) -> None:
                 scenarios.fill_lidar(lidar, *_stored(lidar), json.loads(lidar[SETTINGS]).get("number", 0))
             lidar.blender_lidar.schema = properties.SCHEMA
         parts = [child for child in lidar.children if role(child) == PART]
-        if not carried or not parts or parts[0].hide_select:  # as in files of before
+        if not carried or not parts:
             dress(lidar, lattice_of(scenarios.sensor_of(lidar)))
 
 

@@ -221,10 +221,11 @@ def kept_run(folder: Path, called: str) -> Path:
 @persistent
 @properties.guarded
 def on_save(*_) -> None:
-    """Move the runs of a file that is saved for the first time beside it; a file of before names none."""
+    """Move the runs of a file that is saved for the first time beside it."""
     for lidar in bpy.data.objects if bpy.data.filepath else ():
-        if lidar.blender_lidar.found and (run := found_of(lidar).get("run")):
-            kept_run(Path(found_of(lidar)["folder"]), run)
+        if lidar.blender_lidar.found:
+            found = found_of(lidar)
+            kept_run(Path(found["folder"]), found["run"])
 
 
 def run_of(lidar: bpy.types.Object) -> Path:
@@ -233,7 +234,7 @@ def run_of(lidar: bpy.types.Object) -> Path:
     What a file says of it may be older than the file's first saving, or be of another computer.
     """
     found, runs = found_of(lidar), runs_folder()
-    beside = runs / found["run"] if runs is not None and found.get("run") else None
+    beside = runs / found["run"] if runs is not None else None
     return beside if beside is not None and beside.is_dir() else Path(found["folder"])
 
 

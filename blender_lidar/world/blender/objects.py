@@ -18,7 +18,6 @@ from ..scenery import Scenery
 # --- What an object of ours stands for, kept in a custom property, so that a scene can be read back and shown again -
 
 KEY = "blender_lidar_role"  # custom property of our objects and collections
-EARLIER_KEY = "blender_lidar"  # and in files of before
 VEHICLE, ROAD_ROLE, MARKING, STANDING = "vehicle", "road", "marking", "scenery"
 SENSOR, PART, FAN, CLOUD, STAGE = "lidar", "lidar part", "beam fan", "cloud", "stage"
 DETECTION_ROLE = "detections"
@@ -30,9 +29,9 @@ SETTINGS = "blender_lidar_sensor"  # custom property of a LiDAR that was built w
 
 
 def role(thing: bpy.types.ID) -> str | None:
-    """What a thing of ours stands for, also in a linked file of before; None for what is not ours."""
-    found = thing.get(KEY) if thing.library is None else thing.get(KEY, thing.get(EARLIER_KEY))
-    return found if isinstance(found, str) else None  # the other one may hold the add-on's properties
+    """What a thing of ours stands for; None for what is not ours."""
+    found = thing.get(KEY)
+    return found if isinstance(found, str) else None
 
 
 def made_once(blocks: Iterable[bpy.types.ID], key: str, make: Callable[[], bpy.types.ID]) -> bpy.types.ID:

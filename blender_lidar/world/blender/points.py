@@ -25,7 +25,6 @@ from .objects import (
 )
 
 _NAME, _COLOUR, _MATERIAL = "Point cloud", "colour", "LiDAR points"
-_OLD_GROUP = "LiDAR points"  # the key of a group that shows a colour stored with the points, as older files have it
 # Linear RGB of what is coloured by a number, evenly over its range.
 _BY_ENTROPY = ((0.85, 0.05, 0.02), (0.95, 0.55, 0.02), (0.55, 0.95, 0.25))  # of 0, 0.5 and 1 bit of PE-VGOP
 _FADING, _FADED_M = ((0.26, 0.34, 0.46), (0.12, 0.17, 0.25)), 100.0  # of points on no vehicle, by their range
@@ -105,7 +104,7 @@ def show_cloud(
         item.data = item.data.copy()
     write_cloud(item.data, points)
     groups = [one.node_group for one in item.modifiers if one.type == "NODES"]
-    if any(group is None or role(group) == _OLD_GROUP for group in groups):
+    if any(group is None for group in groups):
         set_style(item, style)
         set_look(item, {"Color By": colour_by})
     if item.parent != lidar:  # written again, Blender would sort all objects anew
