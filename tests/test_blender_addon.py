@@ -322,12 +322,6 @@ def test_the_run_of_an_unsaved_file_is_moved_beside_it_when_it_is_saved(tmp_path
     assert not before.exists()
     assert optimising.run_of(lidar).parent == tmp_path / "saved_runs"
     assert (optimising.run_of(lidar) / "report.html").is_file()
-    found = optimising.found_of(lidar)
-    del found["run"]  # as in files of before
-    lidar.blender_lidar.found = json.dumps(found)
-    lidar = saved_and_opened(tmp_path)
-    assert bpy.context.scene.blender_lidar.problem == ""
-    assert str(optimising.run_of(lidar)) == found["folder"]
 
 
 def test_nothing_of_ours_is_translated_by_halves():
