@@ -339,7 +339,7 @@ def test_a_picture_of_the_site_lies_under_reach_and_blind_zones(tmp_path, sample
         assert run("init", folder, "--from", "sumo", sample, "--vehicle-types", TYPES) == 0
     scene = folder / "scene.toml"
     scene.write_text(
-        scene.read_text() + f'\n[plan]\nimage = "{tmp_path / "air.png"}"\nimage_points = '
+        scene.read_text() + f'\n[drawing]\nimage = "{tmp_path / "air.png"}"\nimage_points = '
         "[[0, 400, -100.0, -100.0], [400, 400, 100.0, -100.0]]\n"
     )
     poles = poles_of(folder)
@@ -359,7 +359,7 @@ def test_a_picture_of_the_site_lies_under_reach_and_blind_zones(tmp_path, sample
     )
     for name, words in (("with", ()), ("without", None)):
         if words is None:
-            scene.write_text(scene.read_text().partition("\n[plan]")[0])
+            scene.write_text(scene.read_text().partition("\n[drawing]")[0])
         assert run("evaluate", scene, *how, "--out", tmp_path / name) == 0
     for picture in ("reach.png", "blind_zones.png"):
         red = []

@@ -167,6 +167,7 @@ UNREADABLE = {
     MINIMAL
     + "[deployment]\nhight_m = 3\n": "[deployment]: unknown key 'hight_m'; did you mean 'height_m'? allowed: x_m, ",
     MINIMAL + "[sensors]\n": "unknown table 'sensors'; did you mean 'sensor'? allowed: traffic, road, ",
+    MINIMAL + "[plan]\n": "unknown table 'plan'; allowed: traffic, road, world, sensor, deployment, drawing, ",
     "seed = 1\n" + MINIMAL: "unknown table 'seed'; ",
     "road = 3\n" + MINIMAL: "[road]: is 3; allowed: a table",
     "[road]\nlanes = 3\n": "[traffic] path: is missing",

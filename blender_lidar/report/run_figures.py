@@ -69,7 +69,7 @@ def draw_charts(site: Site, run: RunFolder) -> list[str]:
                 charts[of_lidar("score_map.png", name)] = partial(plot_score_map, run=run, score_map=found, lidar=name)
     if (run.result.get("layout") or {}).get("over_single"):
         charts["layout.png"] = partial(plot_steps, result=run.result)
-    road, drawn_on = site.scenario.road_map, site.scenario.plan
+    road, drawn_on = site.scenario.road_map, site.scenario.drawing
     image = (drawn_on.image, drawn_on.image_points) if drawn_on.image else None
     charts |= {
         "by_distance.png": partial(plot_by_distance, run=run),

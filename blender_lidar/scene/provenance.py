@@ -36,7 +36,7 @@ def run_identity(
     tables = scenario.as_tables()
     del tables["model"]["workers"], tables["model"]["cluster"]  # which change nothing
     tables["model"]["caster"] = caster
-    del tables["plan"]
+    del tables["drawing"]
     for (table, key), path in _input_files(scenario).items():
         tables[table][key] = _CONTENT + file_digest(path)
     for table, key in _PLUGINS:
@@ -113,7 +113,7 @@ def unchanged_inputs(scenario: Scenario) -> Iterator[None]:
 
 def _input_files(scenario: Scenario) -> dict[tuple[str, str], str]:
     """The files that a scene's results depend on, except for scenery, by table and key."""
-    return {place: path for place, path in scenario.files.items() if place[0] not in ("world", "plan")}
+    return {place: path for place, path in scenario.files.items() if place[0] not in ("world", "drawing")}
 
 
 def _stamp(path: str) -> tuple[int, int] | None:

@@ -36,9 +36,9 @@ from .roads import road_from, road_map_from
 from .scene_tables import (
     Overrides,
     check_region_of_several,
+    drawing_from,
     model_from,
     objective_from,
-    plan_from,
     recordings_from,
     region_from,
     scene_tables,
@@ -47,9 +47,9 @@ from .scene_tables import (
 )
 from .settings import (
     DECLARED,
+    DrawingSettings,
     ModelSettings,
     ObjectiveSettings,
-    PlanSettings,
     RegionSettings,
     SearchSettings,
     SensorSettings,
@@ -93,7 +93,7 @@ class Scenario:
     objective: ObjectiveSettings
     search: SearchSettings
     model: ModelSettings
-    plan: PlanSettings
+    drawing: DrawingSettings
     where: Callable[[str, str], str] = field(repr=False, compare=False)
     further_traffic: tuple[TrafficSettings, ...] = ()
     lidar_name: str = ""
@@ -218,7 +218,7 @@ class Scenario:
         if isinstance(self.road, MappedRoad) and self.road.path:
             named["road", "net" if self.road.net else "opendrive"] = self.road.path
         named |= {("world", f"vehicles {kind}"): file for kind, (file, _) in self.world.bodies.items()}
-        named["plan", "image"] = self.plan.image
+        named["drawing", "image"] = self.drawing.image
         if not self.lidar_name:
             named["deployment", "poles"] = self.deployment.poles_file
             named["sensor", "name"] = self.sensor.name if self.sensor.is_file else None
@@ -240,7 +240,7 @@ class Scenario:
 
         Of several recordings the second table is called "traffic 2", and so of [[lidar]].
         """
-        kinds = ("road", "world", "sensor", "region", "objective", "search", "model", "plan")
+        kinds = ("road", "world", "sensor", "region", "objective", "search", "model", "drawing")
         tables = dict(zip(self._traffic_tables, map(asdict, self.recordings), strict=True))
         tables |= {name: asdict(getattr(self, name)) for name in kinds}
         tables["baseline"] = {"installer": not self.baseline_hangs}
@@ -396,7 +396,7 @@ def scenario_of(
         objective=objective,
         search=search,
         model=model_from(tables["model"]),
-        plan=plan_from(tables["plan"]),
+        drawing=drawing_from(tables["drawing"]),
         further_traffic=tuple(further),
         lidar_name=lidars[0].name,
         further_lidars=tuple(lidars[1:]),

@@ -27,9 +27,9 @@ from .settings import (
     DECLARED,
     GATE,
     INSTALLER,
+    DrawingSettings,
     ModelSettings,
     ObjectiveSettings,
-    PlanSettings,
     RegionSettings,
     SearchSettings,
     SensorSettings,
@@ -266,18 +266,18 @@ def search_from(table: TomlTable, lidars: Sequence[HungLidar]) -> SearchSettings
     return search
 
 
-def plan_from(table: TomlTable) -> PlanSettings:
-    plan = table.read_as(PlanSettings)
-    if (plan.image is None) != (plan.image_points is None):
-        key, other = ("image", "image_points") if plan.image_points is None else ("image_points", "image")
+def drawing_from(table: TomlTable) -> DrawingSettings:
+    drawing = table.read_as(DrawingSettings)
+    if (drawing.image is None) != (drawing.image_points is None):
+        key, other = ("image", "image_points") if drawing.image_points is None else ("image_points", "image")
         raise InputError(f"{table.where(key)}: is given without {other}; allowed: both")
-    points = plan.image_points
+    points = drawing.image_points
     if points is not None and (len(points) != 2 or points[0][:2] == points[1][:2] or points[0][2:] == points[1][2:]):
         raise InputError(
             f"{table.where('image_points')}: do not place the image; allowed: two different points, each [pixels from "
             "the left, from the top, x_m, y_m]"
         )
-    return plan
+    return drawing
 
 
 def model_from(table: TomlTable) -> ModelSettings:

@@ -254,8 +254,8 @@ class RegionSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class PlanSettings:
-    """[plan]: what the plan of the site is drawn on; it changes no result.
+class DrawingSettings:
+    """[drawing]: the picture that the plan of the site is drawn on; it changes no result.
 
     Attributes
     ----------
@@ -499,7 +499,7 @@ DECLARED = {
     "world": settings_of(WorldSettings),
     "sensor": settings_of(SensorSettings),
     "deployment": DEPLOYMENT | STAND,
-    "plan": settings_of(PlanSettings),
+    "drawing": settings_of(DrawingSettings),
     "region": settings_of(RegionSettings),
     "baseline": BASELINE,
     "objective": settings_of(ObjectiveSettings),
