@@ -27,6 +27,7 @@ _LAZY = {
     "judge_layout": "api",
     "judge_mounting": "api",
     "load_scene": "api",
+    "mapped_by": "scoring.evaluation",
     "metric": "metrics.metric",
     "scan_frame": "api",
     "score_cloud": "api",

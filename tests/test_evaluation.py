@@ -12,6 +12,7 @@ import sys
 import tempfile
 import textwrap
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -21,14 +22,16 @@ import numpy as np
 import pytest
 
 from blender_lidar.casting import is_available
-from blender_lidar.errors import WorkerError
+from blender_lidar.errors import InputError, WorkerError
 from blender_lidar.run.vehicle_table import VEHICLE_COLUMNS, distance_bands, lanes, vehicle_table
 from blender_lidar.run.verdict import judge
 from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
-from blender_lidar.scoring.evaluation import Evaluator, Totals
+from blender_lidar.scene.settings import ModelSettings
+from blender_lidar.scoring.evaluation import Evaluator, Totals, mapped_by, workplace_of
 from blender_lidar.scoring.fidelity import Fidelity, coarse_observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
+from blender_lidar.scoring.workers import MappedWorkers, Workers
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
@@ -69,6 +72,19 @@ def test_one_worker_and_two_give_the_same_bits(alone, pair):
         for mine, theirs in zip(alone, together, strict=True):
             assert mine.dtype == theirs.dtype
             assert mine.tobytes() == theirs.tobytes()
+
+
+def test_any_map_gives_the_same_bits(alone):
+    with mapped_by(map), Evaluator(FRAMES[:1], SEEN, SCORING) as evaluator:
+        assert isinstance(workplace_of(ModelSettings()).employ(abs, 1), MappedWorkers)
+        assert isinstance(evaluator.workers, Workers)  # unless it is asked for
+    with ThreadPoolExecutor(3) as pool, Evaluator(FRAMES, SEEN, SCORING, workers=pool.map) as evaluator:
+        for _ in range(2):
+            for mine, theirs in zip(evaluator.totals(LAYOUTS), alone, strict=True):
+                assert mine.tobytes() == theirs.tobytes()
+    assert isinstance(workplace_of(ModelSettings()).employ(abs, 1), Workers)
+    with pytest.raises(InputError, match=r"^mapped_by: is 3; allowed: a function"), mapped_by(3):
+        pass
 
 
 @pytest.mark.parametrize("chosen", [(0,), (3, 1), (4, 0, 2, 1, 3)])

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from blender_lidar.errors import WorkerError
-from blender_lidar.scoring.workers import Workers
+from blender_lidar.scoring.workers import MappedWorkers, Workers
 from tests.small_scene import write_scene
 from tests.waiting import WAIT_S
 
@@ -115,6 +115,37 @@ def test_little_work_is_one_large_call_to_each_of_the_others_and_a_small_one(sha
     sizes = shared.sizes(items, 4)
     assert sizes[: 2 * others] == [11] * others + [1] * others
     assert max(shared.sizes(items, 700)) <= items / (4 * shared.count)
+
+
+class ReadOnce:
+    """Counts how often a process has read it."""
+
+    read = 0
+
+    def __reduce__(self):
+        return _read_once, ()
+
+    def __call__(self, number: int) -> tuple[int, int, int]:
+        return 10 * number, os.getpid(), ReadOnce.read
+
+
+def _read_once():
+    ReadOnce.read += 1
+    return ReadOnce()
+
+
+def test_any_map_makes_the_calls_and_each_of_its_processes_reads_the_function_once():
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        work = MappedWorkers(ReadOnce(), pool.map)
+        found = [one for _ in range(3) for one in work.map(range(20))]
+        assert [number for number, *_ in found] == [10 * number for number in range(20)] * 3
+        assert {read for *_, read in found} == {1}
+        assert os.getpid() not in {process for _, process, _ in found}
+        assert list(work.each([])) == []
+        work.close()
+        assert pool.map(abs, [-1]) == [1]
+    assert sum(work.sizes(1000, 1)) == 1000
+    assert work.sizes(2, 1) == [1, 1]
 
 
 def test_closing_ends_the_others():

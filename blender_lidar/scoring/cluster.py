@@ -1,26 +1,21 @@
 """Workers of a cluster (`dask.distributed`): reached by the address of their scheduler, and never ended.
 
-Each worker is handed the function once and keeps it until we leave: what it keeps is the result of a task that names
-that worker, so that dask makes it again when it is lost, and drops it when the process that asked for it ends. Calls
-name a worker too, the same one in each batch, and another one takes them where it is busy or gone. The scheduler, which
-looks at tasks, needs nothing but dask, as it sees bytes alone. Nobody else imports that library, which the extra
-`cluster` brings.
+Each worker keeps the function as the result of a task, on which the calls depend: so dask makes it again where it is
+lost, and drops it when the process that asked for it ends. Calls name the worker that has the trees of their frames;
+another one takes them where it is busy or gone. The scheduler needs nothing but dask, as it sees bytes alone. Nobody
+else imports that library, which the extra `cluster` brings.
 """
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import operator
 import pickle
 import threading
-import time
-import uuid
 import warnings
-import weakref
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from concurrent.futures import CancelledError
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
@@ -30,10 +25,11 @@ from .. import __version__
 from ..errors import MissingExtraError, WorkerError
 from ..files import source_digest
 from ..signals import stops_deferred
+from .workers import even_sizes
 
 _ANSWER_S = 10.0  # a scheduler that is there answers in milliseconds, unless it is very busy
 _NOBODY_S = 30.0  # what it may take to start a worker again that died
-_LOOK_ROUND_S, _AGAIN_S = 2.0, 0.1
+_LOOK_ROUND_S = 2.0
 _LEAST_ITEMS = 16  # of a task, which costs some milliseconds
 _TASKS_PER_WORKER = 4  # few enough to amortise a task, enough to even out uneven ones
 _TRIES = 5
@@ -43,7 +39,7 @@ _LOGGERS = ("distributed", "distributed.client", "distributed.worker", "tornado.
 
 
 class ClusterWorkers:
-    """Calls one function on the workers of an existing cluster, each of which keeps a copy of it.
+    """Calls one function on the workers of an existing cluster, which lives on.
 
     Parameters
     ----------
@@ -67,7 +63,7 @@ class ClusterWorkers:
         except ImportError as error:
             raise MissingExtraError('--cluster needs dask.distributed: pip install "blender_lidar[cluster]"') from error
         self._distributed, self.address, self._client = distributed, address, None
-        self._content = pickle.dumps(_Held(uuid.uuid4().hex, function), pickle.HIGHEST_PROTOCOL)
+        self._content = pickle.dumps(_Held(pickle.dumps(function, pickle.HIGHEST_PROTOCOL)))
         self._kept: dict[str, object] = {}  # by worker, the future that is the function there
         self._levels = {name: logging.getLogger(name).level for name in _LOGGERS}
         for name in _LOGGERS:  # its failures are ours to report, in one line
@@ -87,8 +83,8 @@ class ClusterWorkers:
 
     def sizes(self, items: int, work: int) -> list[int]:
         """How many of so many items each call is to take, in their order; they differ by one at most."""
-        tasks = min(items, self.count * _TASKS_PER_WORKER, max(self.count, items // _LEAST_ITEMS))
-        return [(number + 1) * items // tasks - number * items // tasks for number in range(tasks)]
+        workers = len(self._kept)
+        return even_sizes(items, min(workers * _TASKS_PER_WORKER, max(workers, items // _LEAST_ITEMS)))
 
     def map(self, *arguments: Iterable) -> list:
         """What the function returns for each set of arguments, in their order.
@@ -105,9 +101,8 @@ class ClusterWorkers:
         tasks = [pickle.dumps(given) for given in zip(*arguments, strict=True)]
         calls = dict.fromkeys(range(len(tasks)))
         try:
-            self._begin(tasks, calls)
             for number in range(len(tasks)):
-                while not (found := self._found(calls[number].future)):
+                while not (found := self._found(calls[number])):
                     self._begin(tasks, calls)
                 del calls[number]
                 yield found[0]
@@ -115,61 +110,20 @@ class ClusterWorkers:
             with suppress(Exception):
                 self._client.cancel([call.future for call in calls.values()])
 
-    def _found(self, future) -> tuple:
-        """What a call has returned, alone in a tuple; () where it is not there in time or was cancelled meanwhile."""
-        with suppress(TimeoutError, CancelledError):
-            future.exception(timeout=_LOOK_ROUND_S)
-        if future.status == "error":
-            self._fail(future.exception())
-        with self._scheduler_needed(), suppress(CancelledError):
-            if future.status == "finished":
-                return (future.result(),)
-        return ()
-
-    def _begin(self, tasks: list[bytes], calls: dict[int, _Call | None]) -> None:
-        """Begin those calls that have not begun or are lost: dask waits for ever for a worker that was the last one."""
-        workers = self._hand_out()
-        for number, call in calls.items():
-            if call is None or call.future.status in _LOST or call.worker not in workers:
-                worker = workers[number % len(workers)]
-                future = self._submit(operator.call, worker, self._kept[worker], tasks[number])
-                calls[number] = _Call(worker, future)
-
-    def await_ready(self) -> None:
-        """Nothing: calls wait for the function."""
-
     def close(self) -> None:
-        """Leave the cluster, which drops what is ours there and lives on."""
+        """Leave the cluster, which drops what is ours there."""
         if self._client is not None:
             with suppress(Exception):  # it has gone before us
                 self._client.close(timeout=_ANSWER_S)
         for name, level in self._levels.items():
             logging.getLogger(name).setLevel(level)
 
-    def _submit(self, function: Callable, worker: str, *given: object):
-        """Begin a task that is done at a worker, if there is time for it there."""
-        return self._client.submit(function, *given, workers=[worker], allow_other_workers=True, pure=False)
-
-    def _fail(self, error: BaseException) -> None:
-        """Raise what a call has raised, in one line where the worker is to blame."""
-        if isinstance(error, ImportError):
-            raise WorkerError(f"{self.address}: a worker cannot do its task: {error}") from error
-        if isinstance(error, self._distributed.KilledWorker):
-            text = "workers died one after another over the same mountings, perhaps because memory ran out"
-            raise WorkerError(f"{self.address}: {text}") from error
-        raise error
-
-    # --- the cluster --------------------------------------------------------------------------------------------------
-
     def _connected(self):
-        """A client; asked for its name first, as a client waits for ever for what takes calls and says nothing."""
+        """A client of dask."""
+        how = {"timeout": _ANSWER_S, "set_as_default": False, "name": "blender_lidar"}
         try:
-            with ThreadPoolExecutor(1) as thread, warnings.catch_warnings():  # some callers run an event loop here
-                kind = thread.submit(asyncio.run, self._kind()).result()
-                if kind != "Scheduler":
-                    raise ValueError(f"there is a {kind}")
+            with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # `_check_alike` says which versions differ
-                how = {"timeout": _ANSWER_S, "set_as_default": False, "name": "blender_lidar"}
                 for _ in range(_TRIES - 1):
                     with suppress(AssertionError):  # dask's greeting may come together with news of a worker
                         return self._distributed.Client(self.address, **how)
@@ -180,43 +134,65 @@ class ClusterWorkers:
                 "`dask scheduler`, or leave --cluster out"
             ) from error
 
-    async def _kind(self) -> str:
-        how = self._distributed.Security().get_connection_args("client")
-        async with asyncio.timeout(_ANSWER_S), self._distributed.rpc(self.address, connection_args=how) as there:
-            return (await there.identity())["type"]
-
     def _hand_out(self) -> list[str]:
         """Addresses of the workers, of which the new ones are checked and given the function; waits a while for one."""
-        until = time.monotonic() + _NOBODY_S
-        with self._scheduler_needed():
-            while not (present := list(self._client.nthreads())) and time.monotonic() < until:
-                time.sleep(_AGAIN_S)
+        try:
+            if self._client.status != "running":  # it would go on trying
+                raise ConnectionError(self._client.status)
+            with suppress(TimeoutError):
+                self._client.wait_for_workers(1, timeout=_NOBODY_S)
+            present = list(self._client.nthreads())
+            kept = {worker: one for worker, one in self._kept.items() if one.status not in _LOST}
+            new = [worker for worker in present if worker not in kept]
+            there = self._client.run(_description, workers=new, on_error="return") if new else {}
+        except Exception as error:
+            raise WorkerError(f"{self.address}: the dask scheduler there has gone, or no longer answers") from error
         if not present:
             raise WorkerError(
                 f"{self.address}: the dask scheduler there has no workers; start some with `dask worker "
                 f"{self.address} --nthreads 1`"
             )
-        kept = self._kept.items()
-        self._kept = {worker: one for worker, one in kept if worker in present and one.status not in _LOST}
-        new = [worker for worker in present if worker not in self._kept]
-        if new:
-            with self._scheduler_needed():
-                there = self._client.run(pickle.loads, pickle.dumps(_Described()), workers=new, on_error="return")
-            _check_alike(there, self.address)
+        _check_alike(there, self.address)
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Sending large graph")
-            self._kept |= {worker: self._submit(pickle.loads, worker, self._content) for worker in new}
-        self.count = len(present)
+            kept |= {worker: self._submit(pickle.loads, worker, self._content) for worker in new}
+        self._kept = {worker: kept[worker] for worker in present}
         return present
 
-    @contextmanager
-    def _scheduler_needed(self) -> Iterator[None]:
-        try:
-            if self._client.status != "running":  # it would go on trying
-                raise ConnectionError(self._client.status)
-            yield
-        except Exception as error:
-            raise WorkerError(f"{self.address}: the dask scheduler there has gone, or no longer answers") from error
+    def _begin(self, tasks: list[bytes], calls: dict[int, _Call | None]) -> None:
+        """Begin those calls that have not begun or are lost: dask waits for ever for a worker that was the last one."""
+        workers = self._hand_out()
+        for number, call in calls.items():
+            if call is None or call.future.status in _LOST or call.worker not in workers:
+                worker = workers[number % len(workers)]
+                future = self._submit(operator.call, worker, self._kept[worker], tasks[number])
+                calls[number] = _Call(worker, future)
+
+    def _submit(self, function: Callable, worker: str, *given: object):
+        """Begin a task that is done at a worker, if there is time for it there."""
+        return self._client.submit(function, *given, workers=[worker], allow_other_workers=True, pure=False)
+
+    def _found(self, call: _Call | None) -> tuple:
+        """What a call has returned, alone in a tuple; () where it is not there in time or was cancelled meanwhile."""
+        if call is None:
+            return ()
+        with suppress(TimeoutError, CancelledError):
+            call.future.exception(timeout=_LOOK_ROUND_S)
+        if call.future.status == "error":
+            self._fail(call.future.exception())
+        with suppress(CancelledError):
+            if call.future.status == "finished":
+                return (call.future.result(),)
+        return ()
+
+    def _fail(self, error: BaseException) -> None:
+        """Raise what a call has raised, in one line where the worker is to blame."""
+        if isinstance(error, ImportError):
+            raise WorkerError(f"{self.address}: a worker cannot do its task: {error}") from error
+        if isinstance(error, self._distributed.KilledWorker):
+            text = "workers died one after another over the same mountings, perhaps because memory ran out"
+            raise WorkerError(f"{self.address}: {text}") from error
+        raise error
 
 
 class _Call(NamedTuple):
@@ -247,7 +223,9 @@ def _check_alike(descriptions: dict[str, object], address: str) -> None:
         warnings.warn(f"{address}: versions differ, and so may the last digits: {which}", stacklevel=4)
 
 
-# --- in a worker of the cluster ---------------------------------------------------------------------------------------
+# --- in a worker ------------------------------------------------------------------------------------------------------
+
+_one_at_a_time = threading.Lock()
 
 
 @cache
@@ -262,34 +240,19 @@ def _description() -> dict[str, str]:
     return found
 
 
-class _Described:
-    """What becomes, where it is unpickled, the description of that process."""
-
-    def __reduce__(self):
-        return _description, ()
-
-
 class _Held:
-    """A function that a process keeps, once for each token; one thread at a time calls it."""
+    """A function that a worker keeps, with the bytes that it came as, by which dask may move it to another one."""
 
-    def __init__(self, token: str, function: Callable, size: int = 0) -> None:
-        self._token, self._function, self._size, self._lock = token, function, size, threading.Lock()
+    def __init__(self, content: bytes) -> None:
+        self._content, self._function = content, pickle.loads(content)
 
     def __call__(self, task: bytes) -> object:
-        with self._lock:
+        with _one_at_a_time:
             return self._function(*pickle.loads(task))
 
     def __reduce__(self):
-        """As which it is sent, and dask may move what a worker keeps, to disk or to another one."""
-        return _hold, (self._token, pickle.dumps(self._function, pickle.HIGHEST_PROTOCOL))
+        return _Held, (self._content,)
 
     def __sizeof__(self) -> int:
-        """By which dask knows what it takes to move it."""
-        return self._size
-
-
-_held: weakref.WeakValueDictionary[str, _Held] = weakref.WeakValueDictionary()  # dask has the reference that counts
-
-
-def _hold(token: str, content: bytes) -> _Held:
-    return _held.get(token) or _held.setdefault(token, _Held(token, pickle.loads(content), len(content)))
+        """What dask takes it to cost to move it."""
+        return len(self._content)

@@ -8,7 +8,9 @@ else.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from copy import copy
 from dataclasses import dataclass
 from itertools import accumulate, chain, pairwise
@@ -17,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import within_blender
+from ..errors import InputError, shown
 from ..scene.installation import installed_layout
 from ..scene.mounting import Layout, poses_of
 from ..scene.observation import CountedFrame, Observation, Scoring
@@ -27,14 +30,14 @@ from .cluster import ClusterWorkers
 from .fidelity import Fidelity, coarse_observation
 from .frame_scorer import FrameScorer, FrameShapes
 from .scores import Scored, VehicleScores
-from .workers import Workers
+from .workers import MappedWorkers, Workers
 
 _GOLDEN = (5.0**0.5 - 1.0) / 2.0  # multiples of it are spread evenly, any run of them
 
 
 @dataclass(frozen=True, slots=True)
 class Workplace:
-    """Processes of this machine, or the workers of a cluster; they change the time that a run takes and nothing else.
+    """Processes of this machine, or workers of others; they change the time that a run takes and nothing else.
 
     Attributes
     ----------
@@ -42,17 +45,22 @@ class Workplace:
         How many, this one among them.
     cluster : str or None
         Address of a dask scheduler, whose workers are used instead.
+    mapping : callable or None
+        A `map` that is used instead of either.
     """
 
     processes: int = 1
     cluster: str | None = None
+    mapping: Callable[[Callable, list], Iterable] | None = None
 
     def __str__(self) -> str:
+        if self.mapping is not None:
+            return "workers of a map"
         if self.cluster is not None:
             return f"cluster {self.cluster}"
         return f"{self.processes} worker{'s' * (self.processes != 1)}"
 
-    def employ(self, function: Callable, most: int) -> Workers | ClusterWorkers:
+    def employ(self, function: Callable, most: int) -> Workers | ClusterWorkers | MappedWorkers:
         """Workers who call a function, up to so many; to be closed.
 
         Raises
@@ -60,20 +68,43 @@ class Workplace:
         WorkerError, MissingExtraError
             When they cannot be had.
         """
+        if self.mapping is not None:
+            return MappedWorkers(function, self.mapping)
         if self.cluster is not None and most:
             return ClusterWorkers(function, self.cluster)
         return Workers(function, max(1, min(self.processes, most)))
 
 
+_mapping: ContextVar[Callable | None] = ContextVar("mapping", default=None)
+
+
+@contextmanager
+def mapped_by(mapping: Callable[[Callable, list], Iterable]) -> Iterator[None]:
+    """While it lasts, score with a `map` in place of own processes, as SciPy's `workers`: `multiprocessing.Pool().map`.
+
+    Parameters
+    ----------
+    mapping : callable
+        Called with a function, which can be pickled, and a list of what to call it with; gives the results in order.
+    """
+    if not callable(mapping):
+        raise InputError(f"mapped_by: is {shown(mapping)}; allowed: a function such as multiprocessing.Pool().map")
+    token = _mapping.set(mapping)
+    try:
+        yield
+    finally:
+        _mapping.reset(token)
+
+
 def workplace_of(settings: ModelSettings) -> Workplace:
-    """Where a scene is evaluated: workers as set, else one for each processor that this process may use.
+    """Where a scene is evaluated: `mapped_by`, workers as set, else one for each processor that this process may use.
 
     Within a real Blender it is one, which cannot start Python processes that have bpy too.
     """
     if within_blender():
-        return Workplace(1, settings.cluster)
+        return Workplace(1, settings.cluster, _mapping.get())
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return Workplace(settings.workers or processors, settings.cluster)
+    return Workplace(settings.workers or processors, settings.cluster, _mapping.get())
 
 
 class Totals(NamedTuple):
@@ -118,8 +149,8 @@ class Evaluator:
         Sensor, range, caster and detail.
     scoring : Scoring
         The metric and the settings of Eqs. 10 and 11.
-    workers : int
-        Processes, this one among them.
+    workers : int or callable
+        Processes, this one among them; or any `map`, as of `mapped_by`.
     cluster : str, optional
         Address of a dask scheduler, whose workers are used instead.
     held_out : sequence of CountedFrame
@@ -131,7 +162,7 @@ class Evaluator:
     metric : str
     lidars : tuple of str
         Names of the LiDARs of a layout.
-    workers : Workers or ClusterWorkers
+    workers : Workers, ClusterWorkers or MappedWorkers
         Who do the work, this process among them or not.
     """
 
@@ -140,7 +171,7 @@ class Evaluator:
         frames: Sequence[CountedFrame],
         observation: Observation,
         scoring: Scoring,
-        workers: int = 1,
+        workers: int | Callable = 1,
         cluster: str | None = None,
         held_out: Sequence[CountedFrame] = (),
     ) -> None:
@@ -150,8 +181,8 @@ class Evaluator:
         self._errors: np.ndarray | None = None
         self._turn = np.arange(len(self.frames) + len(self._held_out)) * _GOLDEN % 1.0  # of each, wherever asked for
         self._work = _Work(self.frames, self._held_out, observation, scoring)
-        self._workplace = Workplace(workers, cluster)
-        self.workers: Workers | ClusterWorkers = Workers(self._work)
+        self._workplace = Workplace(1, None, workers) if callable(workers) else Workplace(workers, cluster)
+        self.workers: Workers | ClusterWorkers | MappedWorkers = Workers(self._work)
 
     def __enter__(self) -> Evaluator:
         self.workers = self._workplace.employ(self._work, len(self._turn))
@@ -287,7 +318,8 @@ def _without_returns(scored: Scored) -> Scored:
 def site_evaluator(site: Site, frames: Sequence[CountedFrame], held_out: Sequence[CountedFrame] = ()) -> Evaluator:
     """An evaluator of mountings on frames of a site, as its scene asks for workers."""
     place = workplace_of(site.scenario.model)
-    return Evaluator(frames, site.observation, site.scoring, place.processes, place.cluster, held_out)
+    workers = place.mapping or place.processes
+    return Evaluator(frames, site.observation, site.scoring, workers, place.cluster, held_out)
 
 
 class _Work:

@@ -21,10 +21,12 @@ import sys
 import tempfile
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
 from types import ModuleType
@@ -37,6 +39,7 @@ _AT_HAND = 2  # calls that each of the others is given at a time: what it makes,
 _FEWEST_CALLS = 4  # for each process: one that starts late, or is slower, finds or leaves enough for the others
 _LEAST_WORK = 64  # casts of a frame: less is not divided, also in favour of _FEWEST_CALLS, except for a small last call
 _STOP_ON_ITS_WAY_S = 0.5
+_CALLS_OF_MAP = 16
 _FUNCTION = "function.pickle"  # a file of the folder that the others read when they start
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -188,6 +191,43 @@ def _tapered(items: int, processes: int, least: int, most: int) -> list[int]:
     return sizes
 
 
+def even_sizes(items: int, calls: int) -> list[int]:
+    """How many of so many items each of so many calls takes, one at least; they differ by one at most."""
+    calls = min(items, calls)
+    return [(number + 1) * items // calls - number * items // calls for number in range(calls)]
+
+
+class MappedWorkers:
+    """Calls one function through any `map`, as SciPy's `workers` does: of a pool, of an executor or of a cluster.
+
+    Parameters
+    ----------
+    function : callable
+        What to call; it and what belongs to it can be pickled. A process reads it once.
+    mapping : callable
+        Called with a function and a list of what to call it with; gives what it returns, in that order.
+    """
+
+    def __init__(self, function: Callable, mapping: Callable[[Callable, list], Iterable]) -> None:
+        content = pickle.dumps(function, pickle.HIGHEST_PROTOCOL)
+        self._mapping, self._call = mapping, partial(_call_read, uuid.uuid4().hex, content)
+
+    def sizes(self, items: int, work: int) -> list[int]:
+        """As of `Workers`; few calls, as the function goes with each, and nobody knows how many processes there are."""
+        return even_sizes(items, _CALLS_OF_MAP)
+
+    def map(self, *arguments: Iterable) -> list:
+        """As of `Workers`."""
+        return list(self.each(*arguments))
+
+    def each(self, *arguments: Iterable) -> Iterator:
+        """As of `Workers`, as early as the `map` gives one."""
+        return iter(self._mapping(self._call, list(zip(*arguments, strict=True))))
+
+    def close(self) -> None:
+        """Nothing: whose `map` it is ends it."""
+
+
 @contextmanager
 def _failures_in_one_line() -> Iterator[None]:
     try:
@@ -257,3 +297,15 @@ def _end_with_parent(folder: Path) -> None:
 
 def _call(*arguments):
     return _function(*arguments)
+
+
+_read: dict[str, Callable] = {}  # the function of the last token
+_one_at_a_time = threading.Lock()
+
+
+def _call_read(token: str, content: bytes, arguments: tuple):
+    with _one_at_a_time:  # its caches are not for threads
+        if token not in _read:
+            _read.clear()
+            _read[token] = pickle.loads(content)
+        return _read[token](*arguments)
