@@ -8,13 +8,14 @@ else imports that library, which the extra `cluster` brings.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import operator
 import pickle
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -119,10 +120,12 @@ class ClusterWorkers:
             logging.getLogger(name).setLevel(level)
 
     def _connected(self):
-        """A client of dask."""
+        """A client; asked for its name first, as a client waits for ever for what takes calls and says nothing."""
         how = {"timeout": _ANSWER_S, "set_as_default": False, "name": "blender_lidar"}
         try:
-            with warnings.catch_warnings():
+            with ThreadPoolExecutor(1) as thread, warnings.catch_warnings():  # some callers run an event loop here
+                if (kind := thread.submit(asyncio.run, self._kind()).result()) != "Scheduler":
+                    raise ValueError(f"there is a {kind}")
                 warnings.simplefilter("ignore")  # `_check_alike` says which versions differ
                 for _ in range(_TRIES - 1):
                     with suppress(AssertionError):  # dask's greeting may come together with news of a worker
@@ -133,6 +136,11 @@ class ClusterWorkers:
                 f"{self.address}: no dask scheduler answers there within {_ANSWER_S:g} s; start one with "
                 "`dask scheduler`, or leave --cluster out"
             ) from error
+
+    async def _kind(self) -> str:
+        how = self._distributed.Security().get_connection_args("client")
+        async with asyncio.timeout(_ANSWER_S), self._distributed.rpc(self.address, connection_args=how) as there:
+            return (await there.identity())["type"]
 
     def _hand_out(self) -> list[str]:
         """Addresses of the workers, of which the new ones are checked and given the function; waits a while for one."""
