@@ -152,7 +152,8 @@ class ClusterWorkers:
             present = list(self._client.nthreads())
             kept = {worker: one for worker, one in self._kept.items() if one.status not in _LOST}
             new = [worker for worker in present if worker not in kept]
-            there = self._client.run(_description, workers=new, on_error="return") if new else {}
+            asked = pickle.loads, pickle.dumps(_Described())  # so that one without our library can say so
+            there = self._client.run(*asked, workers=new, on_error="return") if new else {}
         except Exception as error:
             raise WorkerError(f"{self.address}: the dask scheduler there has gone, or no longer answers") from error
         if not present:
@@ -246,6 +247,13 @@ def _description() -> dict[str, str]:
         except PackageNotFoundError:
             found[library] = "none"
     return found
+
+
+class _Described:
+    """What becomes, where it is unpickled, the description of that process."""
+
+    def __reduce__(self):
+        return _description, ()
 
 
 class _Held:
