@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 
 import blender_lidar as bl
+import tests.research  # noqa: F401
 from blender_lidar.errors import InputError
 from blender_lidar.report.summary import answer
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
+from rival_metrics import OPTIONS
 from tests.small_scene import CASTER, done, write_scene
 
 pytestmark = pytest.mark.versions
@@ -99,10 +101,10 @@ def test_a_scan_that_is_scored_has_the_occupancies_of_the_scorer(site):
 def test_a_cloud_is_scored_from_its_file_too(tmp_path, site):
     scan = bl.scan_frame(site, site.search[0].vehicles.frame, height_m=4.0)
     scan.write(tmp_path / "cloud.npz")
-    of_file = rows_of(bl.score_cloud(tmp_path / "cloud.npz", scan.vehicles, metrics=["log-points"]))
+    of_file = rows_of(bl.score_cloud(tmp_path / "cloud.npz", scan.vehicles, metrics=[OPTIONS["log_returns"]]))
     of_arrays = rows_of(bl.score_cloud(scan.cloud.xyz, scan.vehicles, scan.cloud.vehicle_id))
     np.testing.assert_array_equal(of_file["entropy_bits"], of_arrays["entropy_bits"])
-    np.testing.assert_allclose(of_file["log_points"], np.log1p(of_file["points"]))
+    np.testing.assert_allclose(of_file["log_returns"], np.log1p(of_file["points"]))
     assert len(scan.points["x_m"]) == len(scan.cloud)
 
 
@@ -237,7 +239,7 @@ def test_a_scan_brings_its_labels_and_boxes_and_a_table_of_boxes_does_as_well(tm
     by_table = rows_of(bl.score_cloud(scan, boxes))
     row = [whole["vehicle_id"].tolist().index(number) for number in by_table["vehicle_id"]]
     np.testing.assert_array_equal(by_table["points"], whole["points"][row])
-    assert "distance" in rows_of(bl.score_cloud(scan, metrics=["distance"], lidar_xy=np.array([0.0, 0.0])))
+    assert "distance" in rows_of(bl.score_cloud(scan, metrics=[OPTIONS["distance"]], lidar_xy=np.array([0.0, 0.0])))
 
 
 def test_without_pandas_tables_are_dictionaries_of_arrays(site, monkeypatch):

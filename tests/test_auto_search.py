@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+import tests.research  # noqa: F401
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import make_search
 from blender_lidar.optimise.multi_fidelity import (
@@ -35,6 +36,7 @@ from blender_lidar.scoring.fidelity import (
     make_rungs,
     spread_order,
 )
+from rival_metrics import OPTIONS
 from tests.small_scene import write_scene
 
 FRAMES = 40
@@ -321,7 +323,7 @@ def test_on_a_circle_two_candidates_beside_its_seam_are_one_peak():
     assert diverse(x, values, 2, 0.1, periodic=np.array([True])) == [0, 2]
 
 
-@pytest.mark.parametrize("metric", ["view-coverage", "voxel-entropy-0.1"])
+@pytest.mark.parametrize("metric", ["view-coverage", OPTIONS["voxel_entropy_10_cm"]])
 def test_cells_of_a_metrics_own_grow_with_thinned_beams(metric, tmp_path):
     site = prepare(load_scenario(write_scene(tmp_path), {("objective", "metric"): (metric, "here")}))
     layouts = [

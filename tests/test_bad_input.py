@@ -116,7 +116,7 @@ BAD_OPTIONS = {
         ("--frame-ids 9,x", "--frame-ids: 'x'; allowed: frame numbers such as 100,150 or 100:160:5"),
         ("--frame-ids 9:1", "--frame-ids: '9:1'; allowed: a range"),
         ("--frame-ids 9 --frames 3", "--frame-ids: lists the frames that --frames spreads evenly"),
-        ("--metric voxel-entrop-0.1", "--metric: unknown metric 'voxel-entrop-0.1'; did you mean 'voxel-entropy-0.1'?"),
+        ("--metric view-cover", "--metric: unknown metric 'view-cover'; did you mean 'view-coverage'?"),
         ("--workers -1", "--workers: is -1; allowed: 0 to 256"),
     ],
     ("optimise",): [

@@ -161,7 +161,7 @@ def test_another_place_model_or_metric_leaves_open_what_the_file_left_open(tmp_p
     lidar.blender_lidar.name_, scene.blender_lidar.metric = "VLP-16", "points"
     for key in ("height_m", "tilt_x_deg", "tilt_y_deg", "x_m"):
         setattr(lidar.blender_lidar, f"{key}_on", True)
-    given = {("sensor", "name"): ("VLP-16", "--sensor"), ("objective", "metric"): ("points", "--metric")}
+    given = {("sensor", "name"): ("VLP-16", "--sensor"), ("objective", "metric"): ("detectable", "--metric")}
     line = load_scenario(path, given)
     assert scenario().sensor.range_noise_m == line.sensor.range_noise_m != before.sensor.range_noise_m
     assert scenario().objective == line.objective != before.objective
@@ -261,12 +261,11 @@ def test_how_long_it_takes_is_said_from_the_searchs_own_rate(tmp_path, monkeypat
 OWN = """
 import pathlib
 from blender_lidar import metric
-from blender_lidar.metrics.vehicle_metrics import points
 pathlib.Path(__file__).with_name("ran").touch()
 
 @metric(label="hits")
 def hits(vehicles):
-    return points(vehicles).astype(float)
+    return vehicles.count
 """
 
 

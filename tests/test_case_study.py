@@ -309,7 +309,7 @@ def test_sensors_share_frames_and_blocks_as_long_as_the_widest_region_needs(scen
     [
         ({}, "must be pairs, and they alone"),  # its tilt is fixed
         (MAPPED | {"baseline": {"x_m": 3.0}}, "allowed: another height and tilt alone"),
-        (MAPPED | {"objective": {"metric": "points"}}, "metric is 'points'"),
+        (MAPPED | {"objective": {"metric": "detectable"}}, "metric is 'detectable'"),
     ],
 )
 def test_a_scene_that_asks_something_else_is_refused(tmp_path, capsys, changes, said):

@@ -119,11 +119,11 @@ def test_a_chart_leaves_tables_a_report_and_a_sentence_and_one_that_was_stopped_
 
 
 def test_a_scene_that_holds_nothing_out_and_searches_the_height_alone_is_charted(tiny, tmp_path, capsys):
-    scene = write_scene(tmp_path, {"traffic": {"holdout": 0.0}, "objective": {"metric": "log-points"}})
+    scene = write_scene(tmp_path, {"traffic": {"holdout": 0.0}, "objective": {"metric": "view-coverage"}})
     out, _ = done(capsys, "chart", scene, "--quick", "--json", "--out", tmp_path / "run")
     result = json.loads(out)
     assert result["judged_on"] == "searched"
-    assert result["metric"] == "log-points"
+    assert result["metric"] == "view-coverage"
     assert all(list(row["shift"]) == ["height_m"] for row in result["ablations"] if row["shift"])
 
 

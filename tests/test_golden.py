@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import tests.research  # noqa: F401
 from blender_lidar.casting import is_available
 from blender_lidar.cli import main
 from blender_lidar.optimise import de_pso, maximise
@@ -28,6 +29,7 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.scoring.scores import VehicleScores
+from rival_metrics import OPTIONS
 from tests.small_scene import mounting, traffic_rows, write_scene, write_table
 from tests.test_auto_search import made_search
 
@@ -163,14 +165,15 @@ def cloud(folder: Path, caster: str, **changes) -> dict:
 
 
 def metrics_of_a_cloud(folder: Path) -> dict:
-    """Every metric that a cloud allows, of each vehicle of a frame."""
+    """Every metric that a cloud allows, and the rivals, of each vehicle of a frame."""
     needs("raster")
     scene = busy_scene(folder, "raster", traffic={"frame_ids": [30], "frames": None, "holdout": 0.0})
     command("scan", scene, "--frame", 30, "--height", 4.1, "--tilt-x", 19, "--out", folder / "cloud.npz")
     command("evaluate", scene, "--height", 4.1, "--tilt-x", 19, "--out", folder / "run")
-    words = ("--points", folder / "cloud.npz", "--boxes", folder / "run" / "vehicles.csv")
+    words = ["--points", folder / "cloud.npz", "--boxes", folder / "run" / "vehicles.csv", "--metric", "all"]
+    words += [word for name, option in OPTIONS.items() if name != "distance" for word in ("--metric", option)]
     found = {
-        assign: json.loads(command("score", *words, "--assign", assign, "--metric", "all", "--json"))
+        assign: json.loads(command("score", *words, "--assign", assign, "--json"))
         for assign in ("id", "box")
     }
     for result in found.values():
@@ -252,7 +255,8 @@ def study(folder: Path, verb: str) -> dict:
         "deployment": {"tilt_x_deg": [0.0, 25.0], "installer": False},
         "search": {"particles": 8, "iterations": 15},
     }
-    command(verb, busy_scene(folder, "raster", **changes), "--quick", "--out", folder / "study")
+    rivals = [word for option in OPTIONS.values() for word in ("--rival", option)] if verb == "stability" else []
+    command(verb, busy_scene(folder, "raster", **changes), "--quick", *rivals, "--out", folder / "study")
     return content(folder / "study" / f"{verb}.json")
 
 

@@ -14,9 +14,10 @@ import pytest
 import tests.research  # noqa: F401
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError
-from blender_lidar.metrics.catalogue import METRICS
+from blender_lidar.metrics.catalogue import METRICS, metric_named
 from blender_lidar.metrics.metric import vehicle_returns
 from blender_lidar.metrics.vehicle_metrics import TIE_BREAKER
+from blender_lidar.plugins import short_name
 from blender_lidar.report.html import escaped
 from blender_lidar.report.summary import measured, objective_text
 from blender_lidar.run.folder import RunFolder
@@ -29,6 +30,7 @@ from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
+from rival_metrics import OPTIONS as RIVALS
 from tests.report_samples import page_of
 from tests.sample_traffic import counted_frames
 from tests.small_scene import cli, done, without_charts, write_scene
@@ -42,7 +44,8 @@ MOUNTINGS = [
     Mounting(height_m=3.0, tilt_x=0.1, tilt_y=0.1, yaw=0.4),
 ]
 LAYOUTS, POSES = [(one,) for one in MOUNTINGS], [one.pose for one in MOUNTINGS]
-OTHERS = ("detectable", "points", "distance", "ap-entropy")
+OPTIONS = {"detectable": "detectable", "view-coverage": "view-coverage", **RIVALS}
+OTHERS = ("detectable", "number_of_returns", "distance", "ap_entropy")
 
 
 FRAMES = counted_frames(2)
@@ -51,10 +54,10 @@ FRAMES = counted_frames(2)
 # --- sums -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", METRICS)
+@pytest.mark.parametrize("name", [*METRICS, *RIVALS.values()])
 @pytest.mark.parametrize("loss", [None, -0.25])
 def test_the_objective_sums_the_metric_of_each_vehicle_as_it_is_seen_from_each_mounting_alone(name, loss):
-    metric, scoring = METRICS[name], Scoring(0.005, "mean", loss, "corrected", name)
+    metric, scoring = metric_named(name), Scoring(0.005, "mean", loss, "corrected", name)
     with Evaluator(FRAMES, SEEN, scoring) as evaluator:
         totals = evaluator.totals(LAYOUTS)
     sign = 1.0 if metric.higher_is_better else -1.0
@@ -88,7 +91,7 @@ def test_returns_are_kept_by_mounting_and_vehicle_only_where_they_are_asked_for(
 def test_the_vehicle_table_has_a_column_for_another_metric_and_none_for_pe_vgop():
     plain, other = (
         vehicle_table(LAYOUTS[1], search=Evaluator(FRAMES, SEEN, Scoring(0.005, "mean", None, "corrected", name)))
-        for name in ("pe-vgop", "distance")
+        for name in ("pe-vgop", OPTIONS["distance"])
     )
     assert METRIC_VALUE not in plain
     assert set(other) == {*plain, METRIC_VALUE}
@@ -145,7 +148,7 @@ def runs(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         without_charts(patch)
         for name in OTHERS:
-            assert main(["optimise", str(scene), "--metric", name, "--out", str(folder / name)]) == 0
+            assert main(["optimise", str(scene), "--metric", OPTIONS[name], "--out", str(folder / name)]) == 0
     return folder
 
 
@@ -155,10 +158,10 @@ def result_of(folder: Path) -> dict:
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_a_run_says_what_it_maximised(runs, name):
-    metric, result = METRICS[name], result_of(runs / name)
-    assert (result["metric"], result["metric_unit"]) == (name, metric.unit)
+    metric, result = metric_named(OPTIONS[name]), result_of(runs / name)
+    assert (result["metric"], result["metric_unit"]) == (OPTIONS[name], metric.unit)
     assert result["metric_higher_is_better"] == metric.higher_is_better
-    assert result["identity"]["[objective] metric"] == name
+    assert result["identity"]["[objective] metric"].split(",")[0] == short_name(OPTIONS[name])
     sign = 1.0 if metric.higher_is_better else -1.0
     for file, scores in (("vehicles.csv", result), ("vehicles_baseline.csv", result["baseline"])):
         with (runs / name / file).open(newline="") as stream:
@@ -173,7 +176,7 @@ def test_a_run_says_what_it_maximised(runs, name):
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_what_is_told_of_a_run_has_the_metrics_unit_and_no_other(runs, name):
-    metric, folder = METRICS[name], runs / name
+    metric, folder = metric_named(OPTIONS[name]), runs / name
     page, sheet = (folder.joinpath(file).read_text(encoding="utf-8") for file in ("report.html", "installation.txt"))
     assert page_of(RunFolder(folder)) == page
     assert metric.in_unit("objective per vehicle") in page
@@ -195,17 +198,17 @@ def _gains(gain: float) -> str:
 
 
 def test_a_run_goes_on_with_its_metric_alone(runs, capsys):
-    words = ["optimise", runs / "scene.toml", "--out", runs / "points", "--resume"]
-    code, _, err = cli(capsys, *words, "--metric", "log-points")
+    words = ["optimise", runs / "scene.toml", "--out", runs / "number_of_returns", "--resume"]
+    code, _, err = cli(capsys, *words, "--metric", "view-coverage")
     assert code == 2
-    assert "the run there had [objective] metric = 'points', not 'log-points'" in err
-    out, _ = done(capsys, *words, "--metric", "points")
+    assert "the run there had [objective] metric = 'rival_metrics.py:number_of_returns, file with" in err
+    out, _ = done(capsys, *words, "--metric", OPTIONS["number_of_returns"])
     assert "Objective, in points: the number of returns of every vehicle, detectable or not," in out
 
 
 def test_the_scene_that_a_run_leaves_has_its_metric(runs):
-    again = load_scenario(runs / "ap-entropy" / "scene.toml").objective
-    assert (again.metric, again.loss) == ("ap-entropy", None)
+    again = load_scenario(runs / "ap_entropy" / "scene.toml").objective
+    assert (again.metric, again.loss) == (OPTIONS["ap_entropy"], None)
 
 
 def test_groups_of_vehicles_are_scored_by_the_metric(runs):
@@ -219,7 +222,9 @@ def test_a_run_with_another_metric_has_its_charts(tmp_path, capsys, monkeypatch)
     monkeypatch.undo()
     pytest.importorskip("matplotlib", reason="charts need matplotlib")
     scene = write_scene(tmp_path, {"traffic": {"frames": 2}})
-    code, out, err = cli(capsys, "evaluate", scene, "--metric", "ap-entropy", "--height", 4, "--out", tmp_path / "run")
+    code, out, err = cli(
+        capsys, "evaluate", scene, "--metric", OPTIONS["ap_entropy"], "--height", 4, "--out", tmp_path / "run"
+    )
     assert (code, err) == (0, "")
     assert " and 6 charts\n" in out
     assert (tmp_path / "run" / "by_distance.png").exists()
@@ -227,7 +232,7 @@ def test_a_run_with_another_metric_has_its_charts(tmp_path, capsys, monkeypatch)
 
 def test_a_table_without_the_metric_is_damaged(runs, tmp_path):
     folder = RunFolder(tmp_path)
-    for file in (runs / "points").iterdir():
+    for file in (runs / "number_of_returns").iterdir():
         if file.is_file():
             folder.file(file.name).write_bytes(file.read_bytes())
     with folder.file("vehicles.csv").open(newline="") as stream:
@@ -242,8 +247,8 @@ def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_sc
         return load_scenario(write_scene(tmp_path, {"objective": objective})).objective.loss
 
     assert (loss(), loss(metric="pe-vgop")) == (-1.0, -1.0)
-    assert loss(metric="points") is None
-    assert loss(metric="points", loss=-2.5) == -2.5
+    assert loss(metric="view-coverage") is None
+    assert loss(metric="view-coverage", loss=-2.5) == -2.5
 
 
 @pytest.mark.parametrize(
@@ -257,24 +262,24 @@ def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_sc
             "the PE-VGOP of every detectable vehicle, minus 0.5 bits for every other vehicle",
         ),
         ("pe-vgop", -1.0, "paper", "Eq. 10 of the paper as printed"),
-        ("points", None, "paper", "the number of returns of every vehicle, detectable or not"),
+        ("number_of_returns", None, "paper", "the number of returns of every vehicle, detectable or not"),
         ("distance", None, "corrected", "minus the distance of every vehicle, detectable or not"),
         ("detectable", None, "corrected", "1 for every detectable vehicle, 0 for every other vehicle"),
         ("detectable", -0.5, "corrected", "1 for every detectable vehicle, minus 0.5 for every other vehicle"),
         (
-            "points",
+            "number_of_returns",
             -1.0,
             "corrected",
             "the number of returns of every detectable vehicle, minus 1 point for every other vehicle",
         ),
         (
-            "sum-of-views",
+            "sum_of_views",
             1.0,
             "corrected",
             "the sum of the views' occupancies of every detectable vehicle, minus 1 for every other vehicle",
         ),
         (
-            "ap-entropy",
+            "ap_entropy",
             -2.0,
             "paper",
             "Eq. 10 of the paper as printed, with minus the entropy of the position in place of the entropy",
@@ -282,5 +287,5 @@ def test_the_loss_is_minus_one_bit_for_pe_vgop_and_none_for_others_unless_the_sc
     ],
 )
 def test_the_objective_in_words(metric, loss, reading, text):
-    result = {"metric": metric, "reading": reading, "identity": {"[objective] loss": loss}}
+    result = {"metric": OPTIONS.get(metric, metric), "reading": reading, "identity": {"[objective] loss": loss}}
     assert objective_text(result) == text

@@ -12,20 +12,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import tests.research  # noqa: F401
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS, metric_named
 from blender_lidar.metrics.metric import NEEDS_POINTS, vehicle_returns
-from blender_lidar.metrics.vehicle_metrics import voxel_entropy
 from blender_lidar.metrics.vgop import pe_vgop, to_vehicle_frame
+from rival_metrics import OPTIONS, spread
 from tests.small_scene import cli, done
 
 pytestmark = pytest.mark.versions
 
-OF_RETURNS = [name for name in METRICS if METRICS[name].needs <= {NEEDS_POINTS}]
+EVERY = METRICS | {name: metric_named(option) for name, option in OPTIONS.items()}
+"""Those of the catalogue, and their rivals from the plug-in."""
+OF_RETURNS = [name for name in EVERY if EVERY[name].needs <= {NEEDS_POINTS}]
 """Metrics of a vehicle's returns alone."""
 GROW_WITH_POINTS = (
-    *("view-coverage", "sum-of-views", "points", "log-points"),
-    *("areal-density", "volumetric-density", "voxel-occupancy"),
+    *("view-coverage", "sum_of_views", "number_of_returns", "log_returns"),
+    *("areal_density", "volumetric_density", "voxel_occupancy"),
 )
 
 
@@ -87,16 +90,16 @@ def slow_ap_entropy(points):
 SLOW = {
     "pe-vgop": lambda points, size, distance: slow_bits(slow_views(points, size)),
     "view-coverage": lambda points, size, distance: slow_coverage(points, size),
-    "sum-of-views": lambda points, size, distance: sum(slow_views(points, size)),
-    "points": lambda points, size, distance: len(points),
-    "log-points": lambda points, size, distance: math.log(1 + len(points)),
-    "areal-density": lambda points, size, distance: len(points) / size[0] / size[1],
-    "volumetric-density": lambda points, size, distance: len(points) / size[0] / size[1] / size[2],
-    "voxel-entropy-0.1": lambda points, size, distance: slow_voxel_entropy(points, size, 0.1),
-    "voxel-entropy-0.2": lambda points, size, distance: slow_voxel_entropy(points, size, 0.2),
-    "voxel-occupancy": lambda points, size, distance: slow_voxel_share(points, size),
-    "voxel-occupancy-entropy": lambda points, size, distance: slow_bits([slow_voxel_share(points, size)]),
-    "ap-entropy": lambda points, size, distance: slow_ap_entropy(points),
+    "sum_of_views": lambda points, size, distance: sum(slow_views(points, size)),
+    "number_of_returns": lambda points, size, distance: len(points),
+    "log_returns": lambda points, size, distance: math.log(1 + len(points)),
+    "areal_density": lambda points, size, distance: len(points) / size[0] / size[1],
+    "volumetric_density": lambda points, size, distance: len(points) / size[0] / size[1] / size[2],
+    "voxel_entropy_10_cm": lambda points, size, distance: slow_voxel_entropy(points, size, 0.1),
+    "voxel_entropy_20_cm": lambda points, size, distance: slow_voxel_entropy(points, size, 0.2),
+    "voxel_occupancy": lambda points, size, distance: slow_voxel_share(points, size),
+    "voxel_occupancy_entropy": lambda points, size, distance: slow_bits([slow_voxel_share(points, size)]),
+    "ap_entropy": lambda points, size, distance: slow_ap_entropy(points),
     "distance": lambda points, size, distance: distance,
 }
 
@@ -105,7 +108,7 @@ SLOW = {
 @pytest.mark.parametrize("spread", [0.9, 1.4])
 def test_a_metric_equals_its_slow_loop(name, spread):
     points, vehicle, size, distance = cloud(3, spread=spread)
-    values = METRICS[name].values(vehicle_returns(points, vehicle, size, distance))
+    values = EVERY[name].values(vehicle_returns(points, vehicle, size, distance))
     slow = [SLOW[name](points[vehicle == row].tolist(), size[row].tolist(), distance[row]) for row in range(len(size))]
     np.testing.assert_allclose(values, slow, rtol=1e-9, atol=1e-12)
 
@@ -120,11 +123,11 @@ def test_every_metric_of_returns_has_an_oracle():
 @pytest.mark.parametrize("name", [*OF_RETURNS, "distance"])
 def test_a_vehicle_is_scored_the_same_alone_and_among_others(name):
     points, vehicle, size, distance = cloud(4)
-    together = METRICS[name].values(vehicle_returns(points, vehicle, size, distance))
+    together = EVERY[name].values(vehicle_returns(points, vehicle, size, distance))
     for row in range(len(size)):
         mine = points[vehicle == row]
         alone = vehicle_returns(mine, np.zeros(len(mine), dtype=int), size[row : row + 1], distance[row : row + 1])
-        np.testing.assert_allclose(METRICS[name].values(alone), together[row : row + 1], rtol=1e-12)
+        np.testing.assert_allclose(EVERY[name].values(alone), together[row : row + 1], rtol=1e-12)
 
 
 @settings(max_examples=15)
@@ -141,7 +144,7 @@ def test_moving_vehicle_and_points_together_changes_no_metric(heading, x, y, see
     before = vehicle_returns(local, rows, size)
     after = vehicle_returns(to_vehicle_frame(world, centre, heading), rows, size)
     for name in OF_RETURNS:
-        np.testing.assert_array_equal(METRICS[name].values(after), METRICS[name].values(before), err_msg=name)
+        np.testing.assert_array_equal(EVERY[name].values(after), EVERY[name].values(before), err_msg=name)
 
 
 @settings(max_examples=25)
@@ -149,8 +152,8 @@ def test_moving_vehicle_and_points_together_changes_no_metric(heading, x, y, see
 def test_metrics_that_claim_it_never_fall_when_returns_are_added(seed):
     points, vehicle, size, _ = cloud(seed)
     some, more = vehicle_returns(points[:150], vehicle[:150], size), vehicle_returns(points, vehicle, size)
-    for name in (*GROW_WITH_POINTS, "ap-entropy"):
-        metric = METRICS[name]
+    for name in (*GROW_WITH_POINTS, "ap_entropy"):
+        metric = EVERY[name]
         assert (metric.merit(metric.values(more)) >= metric.merit(metric.values(some))).all(), name
 
 
@@ -161,9 +164,9 @@ def test_voxel_entropy_falls_when_returns_crowd_into_one_voxel_and_pe_vgop_when_
     grid = np.stack(np.meshgrid(*(np.arange(-s / 2 + 0.025, s / 2, 0.05) for s in size[0]), indexing="ij"), axis=-1)
     full = grid.reshape(-1, 3)
     third = full[np.isclose(full[:, 0] * 20 % 3, 0.5)]
-    for name, fewer, more in (("voxel-entropy-0.1", spread, crowded), ("pe-vgop", third, full)):
+    for name, fewer, more in (("voxel_entropy_10_cm", spread, crowded), ("pe-vgop", third, full)):
         less, value = (
-            METRICS[name].values(vehicle_returns(points, np.zeros(len(points), dtype=int), size))[0]
+            EVERY[name].values(vehicle_returns(points, np.zeros(len(points), dtype=int), size))[0]
             for points in (more, fewer)
         )
         assert less < value, name
@@ -171,7 +174,7 @@ def test_voxel_entropy_falls_when_returns_crowd_into_one_voxel_and_pe_vgop_when_
 
 @pytest.mark.parametrize("name", OF_RETURNS)
 def test_no_vehicle_has_a_worse_value_than_one_without_returns(name):
-    metric = METRICS[name]
+    metric = EVERY[name]
     nothing = vehicle_returns(np.empty((0, 3)), np.empty(0, dtype=int), np.array([[4.5, 1.8, 1.5]]))
     value = metric.values(nothing)
     assert value.shape == (1,)
@@ -179,20 +182,20 @@ def test_no_vehicle_has_a_worse_value_than_one_without_returns(name):
     points, vehicle, size, _ = cloud(6)
     merits = metric.merit(metric.values(vehicle_returns(points, vehicle, size)))
     assert (merits >= metric.merit(value)).all()
-    if name != "ap-entropy":
+    if name != "ap_entropy":
         assert value[0] == 0.0
 
 
 @pytest.mark.parametrize("name", [*OF_RETURNS, "distance"])
 def test_a_frame_without_vehicles_has_no_scores(name):
     nothing = vehicle_returns(np.empty((0, 3)), np.empty(0, dtype=int), np.empty((0, 3)), np.empty(0))
-    assert METRICS[name].values(nothing).shape == (0,)
+    assert EVERY[name].values(nothing).shape == (0,)
 
 
 def test_boxes_with_more_voxels_along_a_side_than_memory_bears_are_refused():
     returns = vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.full((1, 3), 1e3), cell_m=10.0)
     with pytest.raises(InputError, match=r"cell_m is 0\.0001; allowed: at least"):
-        voxel_entropy(returns, 1e-4)
+        spread(returns, 1e-4)
 
 
 def test_pe_vgop_in_the_catalogue_is_that_of_the_paper_to_the_last_bit():
@@ -204,9 +207,9 @@ def test_pe_vgop_in_the_catalogue_is_that_of_the_paper_to_the_last_bit():
 
 def test_merit_turns_the_sign_of_metrics_in_which_lower_is_better():
     values = np.array([1.0, 2.0])
-    for name, metric in METRICS.items():
+    for name, metric in EVERY.items():
         better_first = metric.merit(values)[0] > metric.merit(values)[1]
-        assert better_first == (name in ("distance", "ap-entropy")), name
+        assert better_first == (name in ("distance", "ap_entropy")), name
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------
@@ -214,18 +217,14 @@ def test_merit_turns_the_sign_of_metrics_in_which_lower_is_better():
 
 def test_names_are_the_catalogues_and_an_unknown_one_is_refused_with_the_nearest():
     assert list(METRICS) == [metric.name for metric in METRICS.values()]
-    assert metric_named("log-points") is METRICS["log-points"]
-    with pytest.raises(
-        InputError, match=r"--metric: unknown metric 'voxel-entropy'; did you mean 'voxel-entropy-0.\d'"
-    ):
-        metric_named("voxel-entropy", "--metric")
+    assert metric_named("view-coverage") is METRICS["view-coverage"]
+    with pytest.raises(InputError, match=r"--metric: unknown metric 'view-cover'; did you mean 'view-coverage'"):
+        metric_named("view-cover", "--metric")
 
 
 def test_a_metric_names_what_it_lacks():
     with pytest.raises(InputError, match="metric 'distance' needs the place of the LiDAR"):
-        METRICS["distance"].values(
-            vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.array([[4.0, 2.0, 1.5]]))
-        )
+        EVERY["distance"].values(vehicle_returns(np.zeros((1, 3)), np.zeros(1, dtype=int), np.array([[4.0, 2.0, 1.5]])))
 
 
 # --- what score makes of them -----------------------------------------------------------------------------------------
@@ -243,23 +242,24 @@ def scoring(tmp_path):
 
 
 def test_score_adds_the_metrics_that_are_asked_for(scoring, capsys, tmp_path):
-    asked = ["--metric", "log-points", "--metric", "voxel-entropy-0.1", "--metric", "distance", "--metric", "pe-vgop"]
+    asked = [OPTIONS["log_returns"], OPTIONS["voxel_entropy_10_cm"], OPTIONS["distance"], "pe-vgop"]
+    asked = [word for name in asked for word in ("--metric", name)]
     code, out, err = cli(capsys, *scoring, *asked, "--lidar", 0, 0, "--json", "--out", tmp_path / "scores.csv")
     assert (code, err) == (0, "")
     scores = json.loads(out)
     car, van = scores["vehicles"]
-    assert car["log_points"] == pytest.approx(math.log(5.0))
-    assert car["voxel_entropy_0.1"] == pytest.approx(1.5)  # two of four returns share a voxel
+    assert car["log_returns"] == pytest.approx(math.log(5.0))
+    assert car["voxel_entropy_10_cm"] == pytest.approx(1.5)  # two of four returns share a voxel
     assert (car["distance"], van["distance"]) == pytest.approx((5.0, 50.0))
-    assert van["log_points"] == 0.0
-    assert list(scores["metrics"]) == ["log-points", "voxel-entropy-0.1", "distance", "pe-vgop"]
+    assert van["log_returns"] == 0.0
+    assert list(scores["metrics"]) == ["log_returns", "voxel_entropy_10_cm", "distance", "pe-vgop"]
     assert scores["metrics"]["distance"] == {"column": "distance", "unit": "m", "per_vehicle": pytest.approx(27.5)}
     assert scores["metrics"]["pe-vgop"]["per_vehicle"] == scores["entropy_bits_per_vehicle"]
     with (tmp_path / "scores.csv").open(newline="") as stream:
-        assert float(next(csv.DictReader(stream))["voxel_entropy_0.1"]) == car["voxel_entropy_0.1"]
+        assert float(next(csv.DictReader(stream))["voxel_entropy_10_cm"]) == car["voxel_entropy_10_cm"]
     _, text, _ = cli(capsys, *scoring, *asked, "--lidar", 0, 0)
     lines = text.splitlines()
-    assert lines[0].split()[-3:] == ["log-points", "voxel-entropy-0.1", "distance"]
+    assert lines[0].split()[-3:] == ["log_returns", "voxel_entropy_10_cm", "distance"]
     assert lines[1].split()[-3:] == ["1.6094", "1.5000", "5.000"]
     assert "distance: 27.500 m per vehicle" in lines
 
@@ -290,21 +290,19 @@ def test_score_says_no_more_than_before_unless_asked(scoring, capsys):
     assert text.splitlines()[0] == "vehicle  class       points   p_top  p_side p_front  entropy  detectable"
 
 
-def test_score_with_all_metrics_leaves_out_what_the_cloud_cannot_give_and_says_so(scoring, capsys):
-    out, err = done(capsys, *scoring, "--metric", "all", "--json")
-    assert set(json.loads(out)["metrics"]) == {*METRICS} - {"distance"}
-    assert err.startswith("blender-lidar: note: left out: ")
-    assert "distance" in err
-    out, _ = done(capsys, *scoring, "--metric", "all", "--lidar", 1.0, 2.0, "--json")
+def test_score_with_all_metrics_has_those_of_the_catalogue_and_one_that_is_asked_for_besides(scoring, capsys):
+    out, _ = done(capsys, *scoring, "--metric", "all", "--json")
     assert set(json.loads(out)["metrics"]) == {*METRICS}
+    out, _ = done(capsys, *scoring, "--metric", "all", "--metric", OPTIONS["areal_density"], "--json")
+    assert set(json.loads(out)["metrics"]) == {*METRICS, "areal_density"}
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--metric", "log-point"], "--metric: unknown metric 'log-point'; did you mean 'log-points'?"),
-        (["--metric", "distance"], "--metric: distance needs to know where the LiDAR is; give --lidar X Y"),
-        (["--metric", "distance", "--lidar", "nan", "0"], "--lidar: is nan; allowed: a number"),
+        (["--metric", "pe-vgob"], "--metric: unknown metric 'pe-vgob'; did you mean 'pe-vgop'?"),
+        (["--metric", OPTIONS["distance"]], "py:distance needs to know where the LiDAR is; give --lidar X Y"),
+        (["--metric", OPTIONS["distance"], "--lidar", "nan", "0"], "--lidar: is nan; allowed: a number"),
     ],
 )
 def test_metrics_that_score_cannot_make_are_refused(scoring, capsys, words, expected):

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from blender_lidar.metrics.catalogue import METRICS
+import tests.research  # noqa: F401
+from blender_lidar.metrics.catalogue import metric_named
 from blender_lidar.report import figure as canvas
 from blender_lidar.report.cloud_figures import plot_clouds, plot_detections, plot_occupancy
 from blender_lidar.report.coverage_figures import plot_blind_zones, plot_reach
@@ -24,6 +25,7 @@ from blender_lidar.report.run_figures import (
     plot_score_map,
 )
 from blender_lidar.scene.settings import ZoneSettings
+from rival_metrics import OPTIONS
 from tests.chart_samples import (
     CHARTS,
     ROAD,
@@ -188,9 +190,9 @@ def test_bands_with_few_vehicles_are_hollow_and_not_averaged(tmp_path, figures):
     assert filled == {5: True, 15: False, 25: True}
 
 
-@pytest.mark.parametrize("name", ["sum-of-views", "ap-entropy"])
+@pytest.mark.parametrize("name", [OPTIONS["sum_of_views"], OPTIONS["ap_entropy"]])
 def test_charts_of_scores_say_the_metric_and_its_unit_and_have_room_for_it(name, tmp_path, figures):
-    metric = METRICS[name]
+    metric = metric_named(name)
     run = run_of(table(1) | {"metric_value": metric.merit(np.full(200, 2.0))}, metric=name)
     for plot, more in ((plot_by_distance, ()), (plot_convergence, (history(),)), (plot_score_map, (score_map(),))):
         plot(tmp_path / "c.png", run, *more)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import blender_lidar as bl
+import tests.research  # noqa: F401
 from blender_lidar.errors import BlenderLidarError, InputError
 from blender_lidar.metrics.catalogue import METRICS
 from blender_lidar.optimise import make_search, run
@@ -19,6 +20,7 @@ from blender_lidar.optimise.solve import OwnSearch
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.vehicle_table import METRIC_VALUE
 from blender_lidar.studies.variations import metric_variations
+from rival_metrics import OPTIONS
 from tests.small_scene import cli, done, write_scene
 from tests.waiting import WAIT_S
 
@@ -55,13 +57,14 @@ CROWDED = """
 import numpy as np
 import blender_lidar
 
-@blender_lidar.metric(learns=True, needs=["view"], unit="boxes", decimals=1, tells="how many boxes were nearer")
-def crowded(scene):
-    places = np.concatenate([frame.centre_m[frame.counted, :2] for frame in scene.frames])
+@blender_lidar.metric(learns=True, needs=["layouts"], unit="boxes", decimals=1, tells="how many boxes were nearer")
+def crowded(frames, observation):
+    places = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in frames])
 
     def score(returns):
-        origin, boxes = returns.view.origin_m[:, None, :2], returns.view.boxes
-        own, others = (np.linalg.norm(xy - origin, axis=2) for xy in (boxes.centre_m[boxes.counted, :2], places))
+        origin = np.array([pose.position[:2] for (pose,) in returns.layouts])[:, None]
+        here = returns.frame.vehicles.centre_m[returns.frame.counted, :2]
+        own, others = (np.linalg.norm(xy - origin, axis=2) for xy in (here, places))
         return (others[:, None] < own[..., None]).sum(axis=2).ravel()
 
     return score
@@ -103,7 +106,11 @@ def test_a_metric_in_a_file_has_the_digits_of_ours_in_workers_too(tmp_path, own,
     own(VIEWS)
     monkeypatch.chdir(tmp_path)
     words = (*BUDGET, "--frames", 3)
-    for name, metric, workers in (("ours", "sum-of-views", 1), ("one", "own.py:views", 1), ("two", "own.py:views", 2)):
+    for name, metric, workers in (
+        ("ours", OPTIONS["sum_of_views"], 1),
+        ("one", "own.py:views", 1),
+        ("two", "own.py:views", 2),
+    ):
         done(capsys, "optimise", scene, *words, "--metric", metric, "--workers", workers, "--out", tmp_path / name)
     ours, one, two = (RunFolder(tmp_path / name) for name in ("ours", "one", "two"))
     for other in (one, two):
@@ -131,18 +138,17 @@ def test_a_metric_that_learns_does_so_from_the_frames_that_it_scores_searched_or
     assert "boxes" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_metric_learns_from_boxes_beams_range_and_the_carriageway_within_the_region(tmp_path, own):
-    saved = "    import pickle\n    pickle.dump(scene, open(__file__ + '.seen', 'wb'))\n    return lambda returns: None"
+def test_a_metric_learns_from_the_frames_that_it_scores_and_how_they_are_seen(tmp_path, own):
+    saved = "    import pickle\n    pickle.dump((frames, observation), open(__file__ + '.seen', 'wb'))\n"
+    saved += "    return lambda returns: None"
     path = own(CROWDED[: CROWDED.index("    places")] + saved)
     site = bl.load_scene(write_scene(tmp_path, MAPPED), metric=f"{path}:crowded", workers=1)
     with pytest.raises(InputError, match="gave object values; allowed: numbers"):
         bl.score_mounting(site, height_m=4.0)
-    context = pickle.loads(Path(f"{path}.seen").read_bytes())
-    assert [boxes.frame for boxes in context.frames] == [frame.vehicles.frame for frame in site.search]
-    np.testing.assert_array_equal(context.directions, site.observation.lattice.directions)
-    assert (context.min_range_m, context.max_range_m) == (0.4, 20.0)
-    assert (context.field.centre_xy_m, context.field.radius_m) == ((0.0, 0.0), 20.0)
-    assert context.field.polygon_m == ((-20.0, 2.0), (20.0, 2.0), (20.0, 9.0), (-20.0, 9.0))
+    frames, observation = pickle.loads(Path(f"{path}.seen").read_bytes())
+    assert [frame.vehicles.frame for frame in frames] == [frame.vehicles.frame for frame in site.search]
+    np.testing.assert_array_equal(observation.lattice.directions, site.observation.lattice.directions)
+    assert (observation.lidar.min_range_m, observation.lidar.max_range_m) == (0.4, 20.0)
 
 
 def test_a_cloud_has_no_scene_to_learn_from(tmp_path, own):
@@ -158,7 +164,6 @@ def test_a_chart_of_a_metric_that_learns_compares_it_with_those_of_the_catalogue
     site = bl.load_scene(write_scene(tmp_path, MAPPED), metric=f"{path}:crowded", workers=1)
     changed = [one.changed(site) for one in metric_variations(site) if one.what == "other metric"]
     assert [one.scoring.metric for one in changed] == list(METRICS)
-    assert {one.scoring.field for one in changed} == {site.scoring.field}
 
 
 def test_a_scene_file_finds_its_plugins_from_its_own_folder_and_so_does_the_scene_of_a_run(tmp_path, own, capsys):

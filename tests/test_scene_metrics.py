@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import tests.research  # noqa: F401
-from blender_lidar.errors import InputError
-from blender_lidar.metrics.metric import Field, SceneContext, VehicleReturns, View
+from blender_lidar.metrics.metric import VehicleReturns
 from blender_lidar.run.verdict import map_scores
 from blender_lidar.scene.mounting import Mast, Mounting
 from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
@@ -23,6 +22,7 @@ from blender_lidar.scoring.scores import VehicleScores
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.model import load_model
+from rival_metrics import OPTIONS as RIVALS
 from scene_metrics import (
     DISC_RADIUS_M,
     NAMES,
@@ -31,9 +31,8 @@ from scene_metrics import (
     Road,
     SceneScore,
     _neighbours,
-    field_area,
-    ground_points,
     nuc,
+    thinned,
 )
 from tests.sample_traffic import dense_traffic, scan
 from tests.small_scene import MAPPED, done, without_charts, write_scene
@@ -47,13 +46,6 @@ LATTICE = beam_lattice(load_model("RS-16"), stride=4)
 SEEN = Observation((Lidar(LATTICE, 30.0, 0.4),), "exact", "box", 0.05)
 
 
-def field_between(right, left, radius_m=30.0, x_m=0.0, y_m=0.0):
-    """A straight carriageway between two y, as far as a circle reaches."""
-    ends = x_m - radius_m, x_m + radius_m
-    return Field((x_m, y_m), radius_m, [(ends[0], right), (ends[1], right), (ends[1], left), (ends[0], left)])
-
-
-FIELD = field_between(2.0, 23.96)
 MOUNTINGS = [
     Mounting(height_m=2.0),
     Mounting(height_m=4.1, tilt_x=0.33),
@@ -74,30 +66,30 @@ def frames_of(number, seed=0, length_m=70.0):
 FRAMES = frames_of(6)
 
 
-def scoring(name, field=FIELD):
-    return Scoring(0.005, "mean", None, "corrected", OPTIONS[name], field)
+def scoring(name):
+    return Scoring(0.005, "mean", None, "corrected", OPTIONS[name])
 
 
-def context(frames=FRAMES, lattice=LATTICE):
-    return SceneContext(tuple(frame.boxes for frame in frames), lattice.directions, 0.4, 30.0, FIELD)
+def seen_by(*lidars):
+    return replace(SEEN, lidars=lidars)
 
 
-def per_vehicle(name, layouts=LAYOUTS, frames=FRAMES):
-    with Evaluator(frames, SEEN, scoring(name)) as evaluator:
+def per_vehicle(name, layouts=LAYOUTS, frames=FRAMES, seen=SEEN):
+    with Evaluator(frames, seen, scoring(name)) as evaluator:
         return evaluator.totals(layouts).per_vehicle()
 
 
 def published(name, pose, road):
     """The value as its formula has it, from the prior and the voxels alone."""
-    covered = covered_voxels(road.grid, pose.position, road.beams @ pose.rotation, 30.0, 0.4)
+    covered = covered_voxels(road.grid, pose.position, thinned(SEEN.lidar) @ pose.rotation, 30.0, 0.4)
     if name == "expected_visibility":
-        return expected_visibility(road.frames.prior, road.reached(pose.position, pose.rotation))
+        return expected_visibility(road.frames.prior, road.reached([pose]))
     return {"s_mig": s_mig, "covered_entropy": covered_entropy, "m_sog": m_sog}[name](road.frames, covered)
 
 
 @pytest.mark.parametrize("name", WITH_PRIOR)
 def test_the_objective_per_vehicle_is_the_published_value_under_the_frames_own_prior(name):
-    road = Road(context())
+    road = Road(FRAMES, SEEN)
     expected = [published(name, pose, road) for pose in POSES]
     np.testing.assert_allclose(per_vehicle(name), expected, rtol=1e-9)
     assert np.ptp(expected) > 1e-3
@@ -105,16 +97,23 @@ def test_the_objective_per_vehicle_is_the_published_value_under_the_frames_own_p
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_value_does_not_depend_on_where_the_frames_origin_is(name):
-    """A field about another place than x = y = 0, as a scene with [deployment] x_m and y_m has it."""
     by = np.array([40.0, -12.0, 0.0])  # of whole voxels, so that the same centres lie in the same boxes
     moved = [
         replace(frame, vehicles=replace(frame.vehicles, centre_m=frame.vehicles.centre_m + by)) for frame in FRAMES
     ]
     layouts = [(replace(one, mast=Mast((one.xy[0] + by[0], one.xy[1] + by[1], 0.0))),) for one in MOUNTINGS]
-    field = field_between(-10.0, 11.96, x_m=40.0, y_m=-12.0)
-    with Evaluator(moved, SEEN, scoring(name, field)) as evaluator:
-        found = evaluator.totals(layouts).per_vehicle()
-    np.testing.assert_allclose(found, per_vehicle(name), rtol=1e-3)
+    np.testing.assert_allclose(per_vehicle(name, layouts, moved), per_vehicle(name), rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_two_lidars_in_one_place_are_worth_one_and_one_that_is_left_out_nothing(name):
+    """Ground returns alone are twice as dense."""
+    twice, times = seen_by(SEEN.lidar, SEEN.lidar), 2.0 if name == "ground_density" else 1.0
+    pairs = [(one, one) for one in MOUNTINGS]
+    alone = per_vehicle(name)
+    np.testing.assert_allclose(per_vehicle(name, pairs, seen=twice), times * alone, rtol=0.02 * (name == "ground_nuc"))
+    left_out = [(None, one) for one in MOUNTINGS]
+    np.testing.assert_array_equal(per_vehicle(name, left_out, seen=twice), alone)
 
 
 def test_the_frame_and_the_company_in_which_mountings_are_scored_do_not_matter():
@@ -131,19 +130,19 @@ def test_the_frame_and_the_company_in_which_mountings_are_scored_do_not_matter()
 
 def test_each_mounting_is_valued_once_for_all_frames_however_many_are_scored_together(monkeypatch):
     """A swarm may be larger than what is kept from one to the next."""
-    monkeypatch.setattr("scene_metrics._MOUNTINGS_KEPT", 2)
+    monkeypatch.setattr("scene_metrics._LAYOUTS_KEPT", 2)
     asked = []
 
-    def value(_, origin, rotation):
-        asked.append(origin[2])
-        return origin[2]
+    def value(_, layout):
+        asked.append(layout[0].height_m)
+        return asked[-1]
 
-    score = SceneScore(context(), lambda known: known, value)
-    origin = np.array([[0.0, 0.0, height] for height in (2.0, 3.0, 4.0, 5.0)])
+    score = SceneScore(FRAMES, SEEN, value)
+    layouts = [(Mounting(height_m=height).pose,) for height in (2.0, 3.0, 4.0, 5.0)]
     for frame in (*FRAMES, *FRAMES):
         n = 4 * frame.counted.sum()
-        view = View(origin, np.stack([np.eye(3)] * 4), frame.boxes)
-        returns = VehicleReturns(np.ones((n, 3)), np.zeros(n, dtype=np.int64), np.zeros((n, 3)), view=view)
+        nothing = np.ones((n, 3)), np.zeros(n, dtype=np.int64), np.zeros((n, 3))
+        returns = VehicleReturns(*nothing, frame=frame, layouts=layouts)
         assert score(returns).reshape(4, -1)[:, 0].tolist() == [2.0, 3.0, 4.0, 5.0]
     assert asked == [2.0, 3.0, 4.0, 5.0]
 
@@ -162,25 +161,26 @@ def test_a_lidar_that_reaches_nothing_has_the_best_s_mig_and_m_sog_and_the_worst
 
 def test_thinned_beams_are_beams_less_than_a_voxel_apart_and_cover_nearly_all():
     dense = beam_lattice(load_model("RS-16"))
-    road, every = Road(context(lattice=dense)), dense.directions.reshape(-1, 3)
-    per_ring = len(road.beams) // dense.rings
+    seen, every = seen_by(replace(SEEN.lidar, lattice=dense)), dense.directions.reshape(-1, 3)
+    road, beams = Road(FRAMES, seen), thinned(seen.lidar)
+    per_ring = len(beams) // dense.rings
     assert per_ring < 0.4 * dense.columns
-    rings = road.beams.reshape(dense.rings, per_ring, 3)
+    rings = beams.reshape(dense.rings, per_ring, 3)
     apart = 30.0 * np.linalg.norm(np.diff(rings, axis=1), axis=2)
     assert apart.max() < ROAD_VOXEL_M
     for pose in POSES:
-        thinned = road.covered(pose.position, pose.rotation)
+        found = road.covered([pose])
         whole = covered_voxels(road.grid, pose.position, every @ pose.rotation, 30.0, 0.4)
-        assert not (thinned & ~whole).any()
-        assert thinned.sum() > 0.93 * whole.sum()
+        assert not (found & ~whole).any()
+        assert found.sum() > 0.93 * whole.sum()
 
 
 # --- ground returns ---------------------------------------------------------------------------------------------------
 
 
 def test_the_ground_nearer_than_the_sensor_reports_does_not_return():
-    pose, far = POSES[1], replace(context(), min_range_m=12.0)
-    every, kept = (ground_points(known, pose.position, pose.rotation) for known in (context(), far))
+    pose, far = POSES[1], seen_by(replace(SEEN.lidar, min_range_m=12.0))
+    every, kept = (Road(FRAMES, seen).ground_points([pose]) for seen in (SEEN, far))
     away = np.sqrt(np.square(every - pose.position[:2]).sum(axis=1) + pose.height_m**2)
     np.testing.assert_array_equal(kept, every[away >= 12.0])
     assert 0 < len(kept) < len(every)
@@ -191,10 +191,10 @@ def test_ground_returns_are_those_of_a_scan_of_the_empty_road(mounting):
     pose = mounting.pose
     empty = dense_traffic(vehicles=0)
     cloud = scan(empty, LATTICE, pose, caster="exact", min_range_m=0.4, max_range_m=30.0).xyz
-    inside = (cloud[:, 1] >= 2.0) & (cloud[:, 1] <= 23.96) & (np.hypot(cloud[:, 0], cloud[:, 1]) <= 30.0)
-    points = ground_points(context(), pose.position, pose.rotation)
+    road = Road(FRAMES, SEEN)
+    points, area = road.ground_points([pose]), road.area_m2
+    inside = ((cloud[:, :2] >= road.low) & (cloud[:, :2] <= road.high)).all(axis=1)
     np.testing.assert_allclose(points, cloud[inside, :2], atol=1e-9)
-    area = field_area(FIELD)
     found = [per_vehicle(name, [(mounting,)])[0] for name in ("ground_density", "ground_nuc")]
     np.testing.assert_allclose(found, [len(points) / area, -nuc(points, area)], rtol=1e-12)
     assert (len(points) > 0) == (mounting is not OUT_OF_REACH)
@@ -243,22 +243,19 @@ def test_a_single_return_is_perfectly_uniform_and_none_is_worst():
     assert 0.0 < nuc(two, AREA_M2) < worst
 
 
-def test_the_area_of_a_field_equals_that_of_many_thin_strips():
-    for radius, low, high in ((50.0, 2.0, 23.96), (20.0, 2.0, 30.0), (20.0, -8.0, 9.0)):
-        y = np.linspace(low, high, 400_001)
-        thin = np.sqrt(np.maximum(radius**2 - y**2, 0.0))
-        strips = 2.0 * float(np.sum(0.5 * (thin[1:] + thin[:-1]) * np.diff(y)))
-        assert field_area(field_between(low, high, radius)) == pytest.approx(strips, rel=1e-6)
-    assert field_area(field_between(-30.0, 30.0, 20.0)) == pytest.approx(math.pi * 400.0)
-    corner = Field((0.0, 0.0), 10.0, [(0.0, 0.0), (0.0, 3.0), (4.0, 0.0)])  # a triangle within the circle, clockwise
-    assert field_area(corner) == pytest.approx(6.0)
-    quarter = Field((1.0, 2.0), 10.0, [(1.0, 2.0), (50.0, 2.0), (50.0, 60.0), (1.0, 60.0)])
-    assert field_area(quarter) == pytest.approx(25.0 * math.pi)
-
-
-def test_a_region_that_holds_no_carriageway_is_refused():
-    with pytest.raises(InputError, match=r"a region of 20 m .* holds none of the carriageway"):
-        field_area(field_between(25.0, 30.0, 20.0))
+def test_the_road_is_the_least_rectangle_about_all_boxes_that_count():
+    road, ends = Road(FRAMES, SEEN), []
+    for frame in FRAMES:
+        for (x, y, _), (length, width, _), turn in zip(
+            frame.vehicles.centre_m[frame.counted],
+            frame.vehicles.size_m[frame.counted],
+            frame.vehicles.heading_rad[frame.counted],
+            strict=True,
+        ):
+            ahead, left = (np.array([math.cos(turn), math.sin(turn)]), np.array([-math.sin(turn), math.cos(turn)]))
+            ends += [(x, y) + i * length * ahead + j * width * left for i in (-0.5, 0.5) for j in (-0.5, 0.5)]
+    np.testing.assert_allclose((road.low, road.high), (np.min(ends, axis=0), np.max(ends, axis=0)))
+    assert road.area_m2 == pytest.approx(np.prod(np.ptp(ends, axis=0)))
 
 
 # --- what is refused --------------------------------------------------------------------------------------------------
@@ -269,17 +266,6 @@ def test_frames_in_which_nothing_counts_have_no_values():
     for name in NAMES:
         with Evaluator(nobody, SEEN, scoring(name)) as evaluator:
             assert evaluator.totals(LAYOUTS).objective.tolist() == [[0.0] * 6] * 3
-
-
-def test_traffic_beside_the_carriageway_is_refused_in_one_line():
-    made = scoring("s_mig", field_between(-23.96, -2.0))
-    with (
-        Evaluator(FRAMES, SEEN, made) as evaluator,
-        pytest.raises(
-            InputError, match=r"s_mig', line \d+: InputError: no vehicle of the frames is on the carriageway"
-        ),
-    ):
-        evaluator.totals(LAYOUTS)
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------
@@ -313,7 +299,7 @@ def test_metric_choices_names_the_best_point_of_each_metrics_own_map(tmp_path, c
     pytest.importorskip("scipy")
     import metric_choices
 
-    scene, names = write_scene(tmp_path, MAPPED), ("pe-vgop", "distance", OPTIONS["ground_density"])
+    scene, names = write_scene(tmp_path, MAPPED), ("pe-vgop", RIVALS["distance"], OPTIONS["ground_density"])
     assert metric_choices.main([str(scene), "--metrics", ",".join(names)]) == 0
     rows = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()[1:]}
     scenario = load_scenario(scene, {("objective", "metric"): (names[-1], "--metric")})
@@ -324,7 +310,7 @@ def test_metric_choices_names_the_best_point_of_each_metrics_own_map(tmp_path, c
     height, tilt = np.unravel_index(np.argmax(found.per_vehicle), found.per_vehicle.shape)
     expected = [f"{found.height_m[height]:.2f}", f"{found.tilt_deg[tilt]:.1f}"]
     assert rows["scene_metrics.py:ground_density"][:2] == expected
-    assert rows["distance"] == ["-", "-", "-", "nan"]  # the same wherever it hangs
+    assert rows["rival_metrics.py:distance"] == ["-", "-", "-", "nan"]  # the same wherever it hangs
     assert rows["pe-vgop"][3] == "1.00"
     assert metric_choices.main([str(scene), "--metrics", "pe-vgob"]) == 2
     assert "did you mean 'pe-vgop'" in capsys.readouterr().err

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.metrics.catalogue import METRICS
-from blender_lidar.metrics.metric import NEEDS_VIEW
 from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.scene.deployment import Place, SearchSpace
 from blender_lidar.scene.mounting import mast_at
@@ -192,16 +189,6 @@ def test_a_vehicle_far_from_the_lower_end_of_a_searched_stretch_is_named(tmp_pat
     scenario = load_scenario(path, {("traffic", "accept"): (["carriageway"], "--accept")})
     with pytest.raises(InputError, match=r"stands inside vehicle .* in front of the mast: move it beside them"):
         prepare(scenario)
-
-
-def test_a_metric_with_a_view_refuses_two_lidars(tmp_path, monkeypatch):
-    one = site(tmp_path)
-    two = replace(one.observation, lidars=one.observation.lidars * 2)
-    monkeypatch.setitem(
-        METRICS, "nearness", replace(METRICS["pe-vgop"], name="nearness", needs=frozenset({NEEDS_VIEW}))
-    )
-    with pytest.raises(InputError, match="'nearness' is about one LiDAR, but there are 2"):
-        Evaluator(one.search, two, replace(one.scoring, metric="nearness")).by_vehicle([])
 
 
 def test_a_gantry_keeps_its_clearance_and_any_other_mast_over_a_lane_is_refused(tmp_path):

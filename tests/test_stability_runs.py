@@ -10,7 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import tests.research  # noqa: F401
 from blender_lidar.errors import InputError
+from blender_lidar.plugins import short_name
 from blender_lidar.report.stability import HEADINGS, STABILITY_REPORT
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -22,9 +24,11 @@ from blender_lidar.studies.driver import AS_IT_IS, HELD_OUT, Job, Variation, lan
 from blender_lidar.studies.findings import VERDICTS
 from blender_lidar.studies.stability import StabilityEffort
 from blender_lidar.studies.variations import TRAFFIC, metric_variations, sensor_variations, traffic_variations
+from rival_metrics import OPTIONS
 from tests.refusals import refused
 from tests.small_scene import CASTER, MAPPED, done, mounting, traffic_rows, without_charts, write_scene, write_table
 
+RIVALS = (OPTIONS["log_returns"], OPTIONS["voxel_occupancy"])
 TINY = StabilityEffort(3, 2, heights=2, tilts=3, fine_tilts=5, seeds=2, budget=1.0, draws=1, quick=True)
 
 
@@ -50,7 +54,7 @@ def mountings(site):
 
 
 def every_variation(site):
-    return [*traffic_variations(site, 2), *metric_variations(site), *sensor_variations(site, 2)]
+    return [*traffic_variations(site, 2), *metric_variations(site, RIVALS), *sensor_variations(site, 2)]
 
 
 # --- changes ----------------------------------------------------------------------------------------------------------
@@ -125,7 +129,7 @@ def test_landscapes_equal_what_the_evaluator_says_whatever_the_number_of_workers
 
 def test_what_changes_the_score_alone_is_cast_once_and_comes_to_what_it_comes_to_alone(site, monkeypatch):
     layouts = mountings(site).layouts
-    jobs = [Job(one, layouts) for one in (AS_IT_IS, *metric_variations(site))]
+    jobs = [Job(one, layouts) for one in (AS_IT_IS, *metric_variations(site, RIVALS))]
     jobs.insert(3, Job(Variation(TRAFFIC, "what cannot be", "", _refuse, recast=False), layouts))
     jobs[7:] = [replace(job, layouts=layouts[4:1:-1]) for job in jobs[7:]]
     counted, casts, see = [], [], FrameScorer.see
@@ -151,8 +155,8 @@ def test_a_changed_site_is_scored_as_a_scene_that_says_so(site, tmp_path):
     for variation, table, key, value in (
         (("metric", "cell size", "10 cm"), "objective", "cell_m", 0.1),
         (("metric", "view of Eq. 11", "min"), "objective", "view", "min"),
-        (("metric", "other metric", "log-points"), "objective", "metric", "log-points"),
-        (("metric", "other metric", "voxel-occupancy"), "objective", "metric", "voxel-occupancy"),
+        (("metric", "other metric", "view-coverage"), "objective", "metric", "view-coverage"),
+        (("metric", "other metric", short_name(RIVALS[0])), "objective", "metric", RIVALS[0]),
         (("sensor", "glass drop-out", "1"), "sensor", "glass_dropout", 1.0),
         (("sensor", "rotation rate", "10 Hz"), "sensor", "rotation_hz", 10.0),
     ):

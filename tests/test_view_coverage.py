@@ -9,15 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import tests.research  # noqa: F401
 from blender_lidar.casting import caster_class
 from blender_lidar.metrics import view_grids
-from blender_lidar.metrics.catalogue import METRICS, VIEW_COVERAGE
+from blender_lidar.metrics.catalogue import PE_VGOP, VIEW_COVERAGE
 from blender_lidar.metrics.metric import vehicle_returns
 from blender_lidar.metrics.vehicle_metrics import coverage
 from blender_lidar.metrics.view_grids import ViewGrids
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.world.shapes import shape
+from rival_metrics import number_of_returns
 
 pytestmark = pytest.mark.versions
 
@@ -53,7 +55,7 @@ def test_it_depends_less_on_bearing_than_pe_vgop_and_the_number_of_returns_do():
     beams = lattice.directions.reshape(-1, 3)
     body = shape("car", "body")
     car = caster_class("exact")((body.vertices * CAR)[body.faces], closed=True)
-    spread = {name: [] for name in ("view-coverage", "pe-vgop", "points")}
+    spread = {metric.name: [] for metric in (VIEW_COVERAGE, PE_VGOP, number_of_returns)}
     for bearing in np.radians(np.arange(3.0, 180.0, 12.0)):
         lidar = np.array([20 * math.cos(bearing), 20 * math.sin(bearing), 1.73 - 0.75])
         ahead = beams @ (-lidar / np.linalg.norm(lidar)) > math.cos(math.radians(10.0))
@@ -61,10 +63,10 @@ def test_it_depends_less_on_bearing_than_pe_vgop_and_the_number_of_returns_do():
         met = hits.triangle >= 0
         points = lidar + beams[ahead][met] * hits.distance[met, None]
         returns = vehicle_returns(points, np.zeros(len(points), dtype=int), CAR[None])
-        for name, series in spread.items():
-            series.append(METRICS[name].values(returns)[0])
+        for metric in (VIEW_COVERAGE, PE_VGOP, number_of_returns):
+            spread[metric.name].append(metric.values(returns)[0])
     variation = {name: np.std(series) / np.mean(series) for name, series in spread.items()}
-    assert variation["view-coverage"] < variation["pe-vgop"] < variation["points"]
+    assert variation["view-coverage"] < variation["pe-vgop"] < variation["number_of_returns"]
     assert variation["view-coverage"] < 0.12
 
 

@@ -45,7 +45,7 @@ class ScoreOptions:
     metrics : tuple of str or None
         A further metric beside PE-VGOP, or all; may be repeated.
     lidar_xy : (float, float) or None
-        Place of the LiDAR in the frame of the cloud [m], for the metric distance.
+        Place of the LiDAR in the frame of the cloud [m], for metrics that need its distance.
     out : str or None
         Write one row for each vehicle.
     json : bool

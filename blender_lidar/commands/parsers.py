@@ -191,6 +191,8 @@ def _stability(subparsers) -> None:
     add_scene(parser, leave_out=("--fidelity", "--seeds", "--pose-error"))  # it has fidelities and seeds of its own
     add_pose(parser, on_poles=False)
     _add_pole(parser)
+    rival = "a metric of yours to choose in the scene's metric's place, as the catalogue's do; may be repeated"
+    parser.add_argument("--rival", dest="rivals", action="append", metavar="FILE.py:NAME", help=rival)
     _output(parser, resumed="study", quick="few frames, coarse grids, short searches")
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,7 +16,7 @@ from ..errors import InputError
 from ..files import write_columns
 from ..metrics.assignment import NO_BOX, points_in_boxes
 from ..metrics.catalogue import METRICS, metric_named
-from ..metrics.metric import NEEDS_DETECTABLE, NEEDS_DISTANCE, NEEDS_POINTS, Metric, vehicle_returns
+from ..metrics.metric import NEEDS_DISTANCE, Metric, vehicle_returns
 from ..metrics.vgop import entropy, to_vehicle_frame
 from ..optimise import detectable
 from ..report.summary import warnings_text
@@ -29,11 +28,10 @@ from .options import options_of
 
 _ALL = "all"
 # Columns of metrics that the table has anyway:
-_ALWAYS = {"pe-vgop": "entropy_bits", "points": "points", "detectable": "detectable"}
+_ALWAYS = {"pe-vgop": "entropy_bits", "detectable": "detectable"}
 _SHARES = ("p_top", "p_side", "p_front")
 _HEADING = "vehicle  class       points   p_top  p_side p_front  entropy  detectable"
 _ROW = "{vehicle_id:<8} {class:<10} {points:>7} {p_top:7.4f} {p_side:7.4f} {p_front:7.4f} {entropy_bits:8.4f}"
-_OF_CLOUD = {name: metric for name, metric in METRICS.items() if metric.learn is None}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -91,16 +89,12 @@ def score_table(
 def metrics_of(asked: ScoreOptions) -> list[Metric]:
     """The metrics that were asked for beside PE-VGOP, each once."""
     found: dict[str, Metric] = {}
-    known = {NEEDS_POINTS, NEEDS_DETECTABLE} | ({NEEDS_DISTANCE} if asked.lidar_xy is not None else set())
     for name in asked.metrics or ():
         if name == _ALL:
-            can_be = {key: metric for key, metric in _OF_CLOUD.items() if metric.needs <= known}
-            found |= can_be
-            if left_out := METRICS.keys() - can_be.keys():
-                print(f"blender-lidar: note: left out: {', '.join(sorted(left_out))}", file=sys.stderr)
+            found |= METRICS
             continue
-        found[name] = metric_named(name, "--metric").learnt(None)
-        if NEEDS_DISTANCE in found[name].needs - known:
+        found[name] = metric_named(name, "--metric")
+        if NEEDS_DISTANCE in found[name].needs and asked.lidar_xy is None:
             raise InputError(f"--metric: {name} needs to know where the LiDAR is; give --lidar X Y")
     return list(found.values())
 

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from ..errors import InputError
+from ..metrics.catalogue import metric_named
+from ..plugins import located
 from ..report.chart import CHART_REPORT
 from ..report.stability import STABILITY_REPORT
 from ..report.study import StudyReport
@@ -48,12 +50,16 @@ def run_stability(args: argparse.Namespace) -> int:
     layout = layout_from(args, whole) if given else None
     scenario = at_one_place(whole, args.pole, layout)
     check_height_or_tilt_searched(scenario)
+    rivals = [located(name) for name in args.rivals or ()]
+    for name in rivals:
+        metric_named(name, "--rival")
     effort, site = _effort_of(args, FULL_STABILITY, QUICK_STABILITY), prepare(scenario, layout or ())
 
     def study(folder: StudyFolder) -> dict:
-        return study_stability(site, effort, folder, layout)
+        return study_stability(site, effort, folder, layout, rivals)
 
-    return _carry_out(args, "stability", site, study_identity(site, effort, layout), STABILITY_REPORT, study)
+    identity = study_identity(site, effort, layout, rivals)
+    return _carry_out(args, "stability", site, identity, STABILITY_REPORT, study)
 
 
 def parse_share(text: str, option: str) -> float:

@@ -1,4 +1,4 @@
-"""Metrics: what one is, and what it is given of vehicles and of a scene.
+"""Metrics: what one is, and what it is given of vehicles.
 
 A metric scores all vehicles at once, of one frame or of many, under one mounting or under many: to it they are rows. A
 new one is a function of `VehicleReturns`, with a line in `catalogue`, or decorated with `metric` in a file of its own.
@@ -7,7 +7,8 @@ new one is a function of `VehicleReturns`, with a line in `catalogue`, or decora
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,107 +16,13 @@ from ..errors import InputError, unknown_name
 from ..names import DEFAULT_CELL_M
 from .vgop import occupancy
 
-# --- What a metric can learn from a scene: its traffic as boxes, its beams, and from where they look ------
-# Beams and places follow the package's conventions: points are ``origin + distance * (directions @ rotation)``, in
-# the road frame, as are the boxes.
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameBoxes:
-    """All vehicles of one frame: those that count and those that only hide them.
-
-    Attributes
-    ----------
-    frame : int
-        Its number in the recording.
-    centre_m : ndarray, (v, 3)
-        Box centres [m].
-    size_m : ndarray, (v, 3)
-        Length, width and height [m].
-    heading_rad : ndarray, (v,)
-        Counter-clockwise from +x [rad].
-    counted : ndarray of bool, (v,)
-        Those that are scored: their rows, in this order, are the n rows that a metric is given under one mounting.
-    """
-
-    frame: int
-    centre_m: np.ndarray
-    size_m: np.ndarray
-    heading_rad: np.ndarray
-    counted: np.ndarray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """Poses of s LiDARs of one model, each alone, and the frame that they look at.
-
-    Rows of a metric are its counted vehicles, mounting after mounting.
-
-    Attributes
-    ----------
-    origin_m : ndarray, (s, 3)
-        Optical centres [m].
-    rotation : ndarray, (s, 3, 3)
-        Turns rows of directions from the sensor's frame into the road frame: ``directions @ rotation``.
-    boxes : FrameBoxes
-        The frame.
-    """
-
-    origin_m: np.ndarray
-    rotation: np.ndarray
-    boxes: FrameBoxes
-
-
-@dataclass(frozen=True, slots=True)
-class Field:
-    """The part of the carriageway that a LiDAR is asked to see, the same for every mounting: a polygon within a circle.
-
-    Attributes
-    ----------
-    centre_xy_m : tuple of float
-        Middle of the circle about the region whose vehicles count [m].
-    radius_m : float
-        Its radius [m].
-    polygon_m : sequence of (x, y)
-        Corners of the carriageway's outline, as far as the circle reaches [m].
-    """
-
-    centre_xy_m: tuple[float, float]
-    radius_m: float
-    polygon_m: Sequence[Sequence[float]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SceneContext:
-    """What a metric learns from before it scores anything.
-
-    Attributes
-    ----------
-    frames : tuple of FrameBoxes
-        The frames that it will score: the searched ones, or those held out, never both, so that what chose a mounting
-        does not judge it.
-    directions : ndarray, (rings, columns, 3)
-        Beams of one revolution in the sensor's frame, unit vectors, those of each ring in the order of their azimuth.
-    min_range_m, max_range_m : float
-        Returns from nearer or farther away are lost [m].
-    field : Field
-        Where to look.
-    """
-
-    frames: tuple[FrameBoxes, ...]
-    directions: np.ndarray
-    min_range_m: float
-    max_range_m: float
-    field: Field
-
-
 # --- What a metric is, and what it is given: the returns from vehicles, each in its vehicle's own frame ---
 
-NEEDS_POINTS, NEEDS_DISTANCE, NEEDS_VIEW, NEEDS_DETECTABLE = "points", "distance_m", "view", "detectable"
+NEEDS_POINTS, NEEDS_DISTANCE, NEEDS_LAYOUTS, NEEDS_DETECTABLE = "points", "distance_m", "layouts", "detectable"
 _MISSING = {
     NEEDS_POINTS: "the points themselves, not their number alone",
     NEEDS_DISTANCE: "the place of the LiDAR",
-    NEEDS_VIEW: "the mountings and the frame's boxes",
+    NEEDS_LAYOUTS: "the mountings and the frame's boxes",
     NEEDS_DETECTABLE: "which vehicles are detectable",
 }
 
@@ -146,8 +53,11 @@ class VehicleReturns:
         The returns, each in the frame of its own vehicle [m]; None where no metric asked for them.
     vehicle : ndarray of int64, (k,), or None
         Row of the vehicle that each return belongs to.
-    view : View or None
-        From where the vehicles were looked at, for metrics that learn from a scene.
+    frame : CountedFrame or None
+        The frame with all of its boxes, as `scene.observation` has it; None for a cloud, which has no scene.
+    layouts : sequence of s tuples of Pose, or None
+        From where the frame was looked at: rows are its counted vehicles, layout after layout. Of a layout that leaves
+        a LiDAR out its pose is None. None for a cloud.
     detectable : ndarray of bool, (n,), or None
         Whether enough of each is seen (Eq. 11); None where no threshold is known.
     cell_growth : float
@@ -160,7 +70,8 @@ class VehicleReturns:
     distance_m: np.ndarray | None = None
     points: np.ndarray | None = None
     vehicle: np.ndarray | None = None
-    view: View | None = None
+    frame: Any = None
+    layouts: Sequence[Sequence[Any]] | None = None
     detectable: np.ndarray | None = None
     cell_growth: float = 1.0
 
@@ -225,9 +136,10 @@ class Metric:
         Makes (n,) values of `VehicleReturns`; None for a metric that must learn from a scene first.
     needs : frozenset of str
         Of `VehicleReturns`, what it needs beside sizes, counts and occupancies: of `NEEDS_POINTS`, `NEEDS_DISTANCE`,
-        `NEEDS_VIEW` and `NEEDS_DETECTABLE`.
+        `NEEDS_LAYOUTS` and `NEEDS_DETECTABLE`.
     learn : callable or None
-        For a metric with a memory, such as a prior of where vehicles drive: makes the score of a `SceneContext`.
+        For a metric with a memory, such as a prior of where vehicles drive: makes the score, given the frames that it
+        will score and the `Observation`.
     tells : str
         What it tells of a vehicle, to end a sentence.
     decimals : int
@@ -243,24 +155,10 @@ class Metric:
     higher_is_better: bool
     score: ScoreFunction | None = None
     needs: frozenset[str] = frozenset()
-    learn: Callable[[SceneContext], ScoreFunction] | None = None
+    learn: Callable[[Sequence[Any], Any], ScoreFunction] | None = None
     tells: str = ""
     decimals: int = 3
     of_share: bool = False
-
-    def learnt(self, context: SceneContext | None) -> Metric:
-        """The metric made ready to score: itself, or what it becomes once it has learnt from a scene.
-
-        Raises
-        ------
-        InputError
-            When it has to learn and there is nothing to learn from.
-        """
-        if self.learn is None:
-            return self
-        if context is None:
-            raise InputError(f"metric {self.name!r} learns from a scene's traffic; allowed: in a run of a scene")
-        return replace(self, score=self.learn(context), learn=None)
 
     def values(self, returns: VehicleReturns) -> np.ndarray:
         """Scores of the vehicles, (n,), in the metric's own unit.
@@ -268,13 +166,14 @@ class Metric:
         Raises
         ------
         InputError
-            When `returns` lacks something that the metric needs, or the metric has to learn first: see `learnt`.
+            When `returns` lacks something that the metric needs, or the metric has to learn from a scene first.
         """
-        score = self.learnt(None).score
+        if self.score is None:
+            raise InputError(f"metric {self.name!r} learns from a scene's traffic; allowed: in a run of a scene")
         for what in sorted(self.needs):
             if getattr(returns, what) is None:
                 raise InputError(f"metric {self.name!r} needs {_MISSING[what]}")
-        return score(returns)
+        return self.score(returns)
 
     def merit(self, values: np.ndarray) -> np.ndarray:
         """Values with their sign turned where lower is better, so that of two merits the greater one is the better."""
@@ -336,8 +235,9 @@ def metric(
         def roof(returns):
             return returns.occupancy[:, 0]
 
-    One that `learns` is given a `SceneContext` instead, once for the searched frames and once for those held out, and
-    gives the function of `VehicleReturns` that scores these frames.
+    One that `learns` is given frames and the observation instead, as `scene.observation` has them: once the searched
+    frames and once those held out, so that what chose a mounting does not judge it. It gives the function of
+    `VehicleReturns` that scores these frames.
 
     Parameters
     ----------
@@ -351,7 +251,7 @@ def metric(
         Whether a low value means that a vehicle is seen well.
     needs : iterable of str
         What it needs of `VehicleReturns` beside sizes, counts and occupancies: ``"points"`` (and ``vehicle``),
-        ``"distance_m"``, ``"view"``, ``"detectable"``.
+        ``"distance_m"``, ``"layouts"`` (and ``frame``), ``"detectable"``.
     learns : bool
         Whether it learns from a scene before it scores.
 

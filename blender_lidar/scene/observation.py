@@ -11,7 +11,6 @@ from ..casting.instances import OwnBodies
 from ..casting.protocol import StandingScenery
 from ..errors import InputError
 from ..metrics.catalogue import PE_VGOP
-from ..metrics.metric import Field, FrameBoxes
 from ..road.road_map import polygon_holds
 from ..sensors.beams import BeamLattice
 from ..sensors.lidar import Lidar
@@ -110,19 +109,12 @@ class CountedFrame:
         """Weights of the vehicles that count, (n,): whole numbers where all weigh one."""
         return (np.ones_like(self.counted, dtype=np.int64) if self.weight is None else self.weight)[self.counted]
 
-    @property
-    def boxes(self) -> FrameBoxes:
-        """The frame as metrics know it."""
-        vehicles = self.vehicles
-        return FrameBoxes(vehicles.frame, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, self.counted)
-
 
 @dataclass(frozen=True, slots=True)
 class Scoring:
     """What is made of what a mounting sees: the metric, and the settings of Eqs. 10 and 11.
 
-    `loss` is None where a vehicle below the threshold adds what the metric gives it, as others do. `field` is where
-    metrics that learn from a scene look; None serves all others.
+    `loss` is None where a vehicle below the threshold adds what the metric gives it, as others do.
     """
 
     threshold: float
@@ -130,7 +122,6 @@ class Scoring:
     loss: float | None
     reading: str
     metric: str = PE_VGOP.name
-    field: Field | None = None
 
 
 def vehicle_weights(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray | None:

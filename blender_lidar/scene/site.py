@@ -13,7 +13,6 @@ from ..casting import resolve
 from ..casting.instances import OwnBodies
 from ..casting.protocol import StandingScenery
 from ..errors import InputError
-from ..metrics.metric import Field
 from ..road.road_map import RoadMap
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.lidar import Lidar
@@ -409,14 +408,8 @@ def observation_of(
 
 def scoring_of(scenario: Scenario) -> Scoring:
     """What a scene makes of what is seen."""
-    asked, road = scenario.objective, scenario.road_map
-    region = region_of(scenario.region, road)
-    outline = region.outlines[0].tolist()
-    if scenario.straight is not None:
-        edges, _ = road.lines(road.stretch(region.centre_xy, region.radius_m))
-        outline = np.concatenate([edges[0], edges[-1][::-1]]).tolist()
-    field = Field(region.centre_xy, region.radius_m, tuple(map(tuple, outline)))
-    return Scoring(asked.threshold, asked.view, asked.loss, asked.reading, asked.metric, field)
+    asked = scenario.objective
+    return Scoring(asked.threshold, asked.view, asked.loss, asked.reading, asked.metric)
 
 
 def lattice_of(sensor: SensorSettings) -> BeamLattice:

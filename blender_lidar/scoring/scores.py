@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import InputError
 from ..metrics.catalogue import metric_named
-from ..metrics.metric import NEEDS_POINTS, NEEDS_VIEW, SceneContext, VehicleReturns, View
+from ..metrics.metric import NEEDS_POINTS, VehicleReturns
 from ..optimise.objective import detectable, vehicle_score
 from ..scene.observation import CountedFrame, Observation, Scoring
 from ..sensors.pose import Pose
@@ -51,16 +51,9 @@ class VehicleScores:
     """
 
     def __init__(self, scoring: Scoring, observation: Observation, frames: Sequence[CountedFrame]) -> None:
-        self._scoring, self._metric, context = scoring, metric_named(scoring.metric), None
-        if len(observation.lidars) > 1 and (self._metric.learn is not None or NEEDS_VIEW in self._metric.needs):
-            raise InputError(
-                f"metric {self._metric.name!r} is about one LiDAR, but there are {len(observation.lidars)}; allowed: "
-                "with several, a metric of returns alone"
-            )
-        if self._metric.learn is not None and scoring.field is not None:
-            boxes, lidar = tuple(frame.boxes for frame in frames), observation.lidar
-            context = SceneContext(boxes, lidar.lattice.directions, lidar.min_range_m, lidar.max_range_m, scoring.field)
-        self._metric = self._metric.learnt(context)
+        self._scoring, self._metric = scoring, metric_named(scoring.metric)
+        if self._metric.learn is not None:
+            self._metric = replace(self._metric, score=self._metric.learn(frames, observation))
 
     def of(self, frame: CountedFrame, scorer: FrameScorer, layouts: Sequence[Sequence[Pose]]) -> Scored:
         """Score s layouts, given by the poses of their LiDARs, on the frame of a scorer."""
@@ -77,23 +70,20 @@ class VehicleScores:
         """As `of`, given what the layouts saw, with the returns where the metric asks for them."""
         scoring, metric = self._scoring, self._metric
         noticed = detectable(seen.occupancy, scoring.threshold, scoring.view)
-        rows = _rows(metric, frame, scorer, seen, layouts, noticed)
+        rows = _rows(frame, scorer, seen, layouts, noticed)
         values = metric.values(rows).reshape(noticed.shape)
         objective = vehicle_score(metric.merit(values), noticed, scoring.loss, scoring.reading)
         return Scored(seen, values, noticed, objective * frame.counted_weight)
 
 
-def _rows(metric, frame, scorer, seen: Seen, layouts, noticed) -> VehicleReturns:
+def _rows(frame, scorer, seen: Seen, layouts, noticed) -> VehicleReturns:
     """What a metric is given: one row for each layout and vehicle, layout after layout."""
-    vehicles, view = scorer.vehicles, None
+    vehicles = scorer.vehicles
     left_out = np.full(3, np.inf)
     origin = [[left_out if pose is None else pose.position for pose in layout] for layout in layouts]
     origin = np.array(origin).reshape(len(layouts), -1, 3)
     away = vehicles.centre_m[:, :2] - origin[:, :, None, :2]
     points, owner = (None, None) if seen.returns is None else seen.returns
-    if NEEDS_VIEW in metric.needs:
-        rotation = np.array([pose.rotation for (pose,) in layouts]).reshape(-1, 3, 3)
-        view = View(origin.reshape(-1, 3), rotation, frame.boxes)
     return VehicleReturns(
         size_m=np.tile(vehicles.size_m, (len(layouts), 1)),
         count=seen.points.reshape(-1),
@@ -101,7 +91,8 @@ def _rows(metric, frame, scorer, seen: Seen, layouts, noticed) -> VehicleReturns
         distance_m=np.hypot(away[..., 0], away[..., 1]).min(axis=1, initial=np.inf).reshape(-1),
         points=points,
         vehicle=owner,
-        view=view,
+        frame=frame,
+        layouts=layouts,
         detectable=noticed.reshape(-1),
         cell_growth=scorer.cell_growth,
     )

@@ -113,14 +113,23 @@ FULL_STABILITY = StabilityEffort(
 QUICK_STABILITY = StabilityEffort(8, 8, heights=4, tilts=26, fine_tilts=51, seeds=3, budget=0.3, draws=2, quick=True)
 
 
-def study_identity(site: Site, effort: StabilityEffort, layout: Layout | None) -> dict[str, object]:
+def study_identity(
+    site: Site, effort: StabilityEffort, layout: Layout | None, rivals: Sequence[str] = ()
+) -> dict[str, object]:
     """What two runs of the study must share for the second to go on with the first's stages."""
     asked = {f"study {name}": value for name, value in asdict(effort).items()}
     limits = {"study losses": [*SHARE_LIMITS], "study schema": STABILITY_SCHEMA}
-    return {**site.identity, **asked, **limits, "study mounting": layout and _told(site.scenario, layout)}
+    given = {"study mounting": layout and _told(site.scenario, layout), "study rivals": [*rivals]}
+    return {**site.identity, **asked, **limits, **given}
 
 
-def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, layout: Layout | None = None) -> dict:
+def study_stability(
+    site: Site,
+    effort: StabilityEffort,
+    folder: StudyFolder,
+    layout: Layout | None = None,
+    rivals: Sequence[str] = (),
+) -> dict:
     """Carry out every stage that the folder does not hold, and put the results together.
 
     Parameters
@@ -132,6 +141,8 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, la
         Locked by the caller.
     layout : Layout, optional
         The mounting in question, or those of a layout; what `optimise` answers if left out.
+    rivals : sequence of str
+        Metrics of plug-ins that may choose in the place of the scene's, as those of the catalogue do.
 
     Returns
     -------
@@ -166,12 +177,13 @@ def study_stability(site: Site, effort: StabilityEffort, folder: StudyFolder, la
     coarse = grid_candidates(scene, reference, effort.heights, effort.tilts)
     varied = [
         replace(AS_IT_IS, section=TRAFFIC),
-        *metric_variations(few),  # which share its cast
+        *metric_variations(few, rivals),  # which share its cast
         *traffic_variations(site, effort.draws),
         *sensor_variations(few, effort.draws),
     ]
+    metrics = {short_name(name): name for name in (*METRICS, *rivals)}
     for change, draws in _draws(folder, few, varied, coarse, judging, given=layout is not None).items():
-        unit = metric_named(change[2] if change[2] in METRICS else site.scoring.metric)
+        unit = metric_named(metrics.get(change[2], site.scoring.metric))
         findings.append(change_finding(change, draws, coarse, judges_of_changes._replace(metric=unit)))
     findings += _for_lorries(folder, few, reference, judging, judges_of_changes)
     best = best_row(searched, np.isin(site.plan.search, whole.plan.search))

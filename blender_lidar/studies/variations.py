@@ -18,6 +18,7 @@ from ..errors import InputError
 from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DETECTABLE
 from ..optimise import VIEWS
+from ..plugins import short_name
 from ..run.what_if import mixes, with_traffic
 from ..scene.deployment import installers_text
 from ..scene.site import Site, lattice_of, standing_scenery
@@ -59,8 +60,8 @@ THRESHOLDS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 MISS_COSTS = (0.0, 0.5, 1.0, 2.0, 4.0)  # abs(C), in the metric's unit
 
 
-def metric_variations(site: Site) -> list[Variation]:
-    """Cell size, view, delta and C of the scene's objective, and every other metric in its place.
+def metric_variations(site: Site, rivals: Sequence[str] = ()) -> list[Variation]:
+    """Cell size, view, delta and C of the scene's objective, and every other metric in its place, `rivals` too.
 
     Without a C the objective asks for neither view nor delta, unless its metric does.
     """
@@ -82,7 +83,8 @@ def metric_variations(site: Site) -> list[Variation]:
         for text, value in values.items()
         if value != (-abs(scoring.loss) if key == "loss" else getattr(scoring, key))
     ]
-    changes += [("other metric", name, partial(_with_metric, name=name)) for name in METRICS if name != scoring.metric]
+    others = [name for name in (*METRICS, *rivals) if name != scoring.metric]
+    changes += [("other metric", short_name(name), partial(_with_metric, name=name)) for name in others]
     return [Variation(METRIC, *change, recast=False) for change in changes]
 
 

@@ -25,25 +25,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+import rival_metrics
 from arguments import counting, parser_of, run_script
 from blender_lidar.casting import resolve
 from blender_lidar.metrics.assignment import NO_BOX, points_in_boxes
-from blender_lidar.metrics.catalogue import METRICS, PE_VGOP, VIEW_COVERAGE
-from blender_lidar.metrics.metric import (
-    NEEDS_DETECTABLE,
-    NEEDS_POINTS,
-    NEEDS_VIEW,
-    FrameBoxes,
-    Metric,
-    VehicleReturns,
-    View,
-    vehicle_returns,
-)
+from blender_lidar.metrics.catalogue import PE_VGOP, VIEW_COVERAGE
+from blender_lidar.metrics.metric import NEEDS_POINTS, Metric, VehicleReturns, vehicle_returns
 from blender_lidar.metrics.vgop import to_vehicle_frame
 from blender_lidar.names import DETAILS
 from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.statistics import FEWEST_BLOCKS, interval_90
 from blender_lidar.studies.compare import PairedFrame, Setup, chosen, median_interval, resampled_medians
+from blender_lidar.studies.recorded import LabelledBoxes
 from kitti_sweeps import KITTI_MARGIN_M, kitti_frame, kitti_names, recover_rings
 from occupancy_prior import OccupiedFrames, VehiclePrior, box_visibility, reach_probability
 from resampled_correlations import (
@@ -210,10 +203,8 @@ LOG_PE_VGOP = Metric(
 
 
 def of_single_cars() -> list[Metric]:
-    """View coverage and PE-VGOP first, then all metrics that need no scene, moment or threshold."""
-    first = [VIEW_COVERAGE, PE_VGOP, LOG_PE_VGOP]
-    others = (one for one in METRICS.values() if one.learn is None and not {NEEDS_VIEW, NEEDS_DETECTABLE} & one.needs)
-    return first + [one for one in others if one not in first]
+    """View coverage and PE-VGOP first, then their rivals."""
+    return [VIEW_COVERAGE, PE_VGOP, LOG_PE_VGOP, *(getattr(rival_metrics, name) for name in rival_metrics.NAMES)]
 
 
 def learned(training: Sequence[VehicleReturns]) -> list[Metric]:
@@ -225,11 +216,11 @@ def learned(training: Sequence[VehicleReturns]) -> list[Metric]:
     scores = {"covered-entropy-per-car": prior.covered_entropy, "s-mig-per-car": prior.s_mig}
     scores |= {"m-sog-per-car": prior.m_sog}
     made = [Metric(name, "", "", True, score, frozenset({NEEDS_POINTS})) for name, score in scores.items()]
-    visible = expected_visibility([one.view.boxes for one in training])
-    return [*made, Metric("expected-visibility-per-car", "", "", True, visible, frozenset({NEEDS_VIEW}))]
+    visible = expected_visibility([one.frame for one in training])
+    return [*made, Metric("expected-visibility-per-car", "", "", True, visible)]
 
 
-def expected_visibility(frames: Sequence[FrameBoxes]) -> Callable[[VehicleReturns], np.ndarray]:
+def expected_visibility(frames: Sequence[LabelledBoxes]) -> Callable[[VehicleReturns], np.ndarray]:
     """Expected visibility of single cars: mean, over a box's voxels, of the probability that a beam gets there.
 
     The prior of a voxel of 0.4 m, in the sensor's frame, is the share of training frames with a labelled car in it. A
@@ -238,15 +229,14 @@ def expected_visibility(frames: Sequence[FrameBoxes]) -> Callable[[VehicleReturn
     """
     grid = VoxelGrid.covering((-80.0, -80.0, -3.2), np.array([80.0, 80.0, 2.0]), 0.4)
 
-    def inside(boxes: FrameBoxes) -> np.ndarray:
+    def inside(boxes: LabelledBoxes) -> np.ndarray:
         return grid.in_boxes(boxes.centre_m, boxes.size_m, boxes.heading_rad)
 
     prior = OccupiedFrames([inside(frame) for frame in frames], len(grid)).prior
 
     def visibility(returns: VehicleReturns) -> np.ndarray:
-        boxes = returns.view.boxes
-        (origin,) = returns.view.origin_m
-        way = grid.centres(inside(boxes)) - origin
+        boxes, origin = returns.frame, np.zeros(3)  # where the LiDAR is
+        way = grid.centres(inside(boxes))
         beams = way / np.linalg.norm(way, axis=1, keepdims=True)
         reached = reach_probability(grid, prior, origin, beams, 160.0)
         return box_visibility(grid, reached, boxes.centre_m, boxes.size_m, boxes.heading_rad)
@@ -268,9 +258,7 @@ def cars_of(folder: Path, name: str, clearance_m: float) -> tuple[VehicleReturns
     inside = np.flatnonzero(row != NO_BOX)
     local = to_vehicle_frame(frame.points[inside], boxes.centre_m, boxes.heading_rad, row[inside])
     distance_m = np.hypot(boxes.centre_m[:, 0], boxes.centre_m[:, 1])
-    placed = FrameBoxes(0, boxes.centre_m, boxes.size_m, boxes.heading_rad, np.ones(len(boxes), dtype=bool))
-    view = View(np.zeros((1, 3)), np.eye(3)[None], placed)
-    returns = replace(vehicle_returns(local, row[inside], boxes.size_m, distance_m), view=view)
+    returns = replace(vehicle_returns(local, row[inside], boxes.size_m, distance_m), frame=boxes)
     label = (folder / "label_2" / f"{name}.txt").read_text(encoding="utf-8").splitlines()
     sight = np.arctan2(boxes.centre_m[:, 1], boxes.centre_m[:, 0])
     return returns, {

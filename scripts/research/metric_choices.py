@@ -1,6 +1,6 @@
 """Which height and tilt each metric would choose: the best of a grid over one scene, metric by metric.
 
-    python scripts/research/metric_choices.py [SCENE.toml] [--sensor RS-16] [--metrics pe-vgop,points]
+    python scripts/research/metric_choices.py [SCENE.toml] [--sensor RS-16] [--metrics pe-vgop,FILE.py:NAME]
 
 Every metric scores the same mountings on the same searched frames. Beside the best of them stand the share of vehicles
 that is detectable there (Eq. 11, for every metric) and Spearman's correlation of the metric's map with PE-VGOP's.
@@ -19,7 +19,8 @@ from blender_lidar.run.verdict import map_scores
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import site_evaluator
-from scene_metrics import OPTIONS
+from rival_metrics import OPTIONS as OF_VEHICLES
+from scene_metrics import OPTIONS as OF_SCENES
 
 OURS = "pe-vgop"
 
@@ -34,7 +35,7 @@ def print_choices(args):
     for name in names:
         metric_named(name, "--metrics")
     ours = map_of(args, OURS)
-    print(f"{'maximised':<25}{'height [m]':>12}{'tilt [deg]':>12}{'detectable [%]':>16}{'with PE-VGOP':>14}")
+    print(f"{'maximised':<43}{'height [m]':>12}{'tilt [deg]':>12}{'detectable [%]':>16}{'with PE-VGOP':>14}")
     for name in names:
         scores = ours if name == OURS else map_of(args, name)
         best = np.unravel_index(np.argmax(scores.per_vehicle), scores.per_vehicle.shape)
@@ -43,7 +44,7 @@ def print_choices(args):
         alike = np.nan if flat else spearmanr(scores.per_vehicle, ours.per_vehicle, axis=None).statistic
         parts = (f"{scores.height_m[best[0]]:.2f}", f"{scores.tilt_deg[best[1]]:.1f}", f"{share:.1f}")
         chosen = "{:>12}{:>12}{:>16}".format(*(("-",) * 3 if flat else parts))
-        print(f"{short_name(name):<25}{chosen}{alike:>14.2f}", flush=True)
+        print(f"{short_name(name):<43}{chosen}{alike:>14.2f}", flush=True)
 
 
 def map_of(args, name):
@@ -62,9 +63,8 @@ def map_of(args, name):
 def _arguments(argv):
     parser = parser_of(__doc__, SCENES / "i80.toml")
     parser.add_argument("--sensor")
-    parser.add_argument(
-        "--metrics", default=",".join((*METRICS, *OPTIONS.values())), help="divided by commas (default all)"
-    )
+    names = (*METRICS, *OF_VEHICLES.values(), *OF_SCENES.values())
+    parser.add_argument("--metrics", default=",".join(names), help="divided by commas (default all)")
     return parser.parse_args(argv)
 
 

@@ -2,9 +2,10 @@
 
     blender-lidar optimise SCENE.toml --metric scripts/research/scene_metrics.py:s_mig
 
-They look at the carriageway within the range gate, not at a vehicle. For the objective the value of a scene counts once
-for every counted vehicle of a frame: the mean per vehicle is then the scene's value, and frames weigh as they do with
-other metrics, by their vehicles.
+They look at the road, not at a vehicle: at the rectangle, along x and y, about all boxes that count in any frame. Of
+several LiDARs they take what at least one sees. For the objective the value of a scene counts once for every counted
+vehicle of a frame: the mean per vehicle is then the scene's value, and frames weigh as they do with other metrics, by
+their vehicles.
 
 Those with a prior learn it from the very frames that they then score, searched or held out, weighted in the same way.
 Each frame has its own share of the value: the surprisal of what is and is not occupied in it, or the number of its
@@ -20,16 +21,18 @@ Beams are those of a perfect sensor, and neither the vehicles of the moment nor 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, wraps
 from pathlib import Path
 
 import numpy as np
 
 import blender_lidar as bl
-from blender_lidar.errors import InputError
-from blender_lidar.metrics.metric import Field, Metric, SceneContext, VehicleReturns
-from blender_lidar.road.road_map import polygon_holds
+from blender_lidar.metrics.metric import Metric, VehicleReturns
+from blender_lidar.scene.observation import CountedFrame, Observation
+from blender_lidar.sensors.lidar import Lidar
+from blender_lidar.sensors.pose import Pose
+from blender_lidar.traffic.vehicles import Vehicles
 from occupancy_prior import OccupiedFrames, reach_probability
 from voxel_grid import VoxelGrid, covered_voxels
 
@@ -77,35 +80,6 @@ def nuc(
     return float(np.std(within)) / (len(points_m) * share)
 
 
-def field_area(field: Field) -> float:
-    """Area of the part of a polygon that lies in a circle [m²].
-
-    Raises
-    ------
-    InputError
-        When there is none.
-    """
-    corners = np.asarray(field.polygon_m, dtype=float) - field.centre_xy_m
-    area = abs(sum(_swept(*edge, field.radius_m) for edge in zip(corners, np.roll(corners, -1, axis=0), strict=True)))
-    if not area > 1e-9 * field.radius_m**2:
-        raise InputError(f"a region of {field.radius_m:g} m about {field.centre_xy_m} holds none of the carriageway")
-    return area
-
-
-def _swept(start, stop, radius):
-    """Area within a circle about 0 that the line from there to an edge sweeps along it, counter-clockwise above 0."""
-    way = stop - start
-    square, middle = way @ way, start @ way
-    root = max(middle**2 - square * (start @ start - radius**2), 0.0)  # 0 where the edge's line misses the circle
-    enter, leave = (start + np.clip((-middle + side * math.sqrt(root)) / square, 0.0, 1.0) * way for side in (-1, 1))
-    turned = _turn(start, enter) + _turn(leave, stop)  # before it enters the circle and after it has left it
-    return 0.5 * (radius**2 * turned + enter[0] * leave[1] - enter[1] * leave[0])
-
-
-def _turn(one, other):
-    return math.atan2(one[0] * other[1] - one[1] * other[0], one @ other)
-
-
 def _neighbours(points, centres, radius):
     """How many points lie within `radius` of each centre, rim included, (c,).
 
@@ -139,110 +113,101 @@ ROAD_VOXEL_M = 0.4
 with which a carriageway has 70 million. Sums grow with the number of voxels: those of two sizes do not compare."""
 _SURE, _UNSURE = "how certain the voxels of the road are, ", "how uncertain the voxels of the road are, "
 _NUC = "non-uniformity of ground returns (NUC)"
-_MOUNTINGS_KEPT = 128  # at least; as many as are scored together, where these are more
+_LAYOUTS_KEPT = 128  # at least; as many as are scored together, where these are more
 
 
 class Road:
-    """The carriageway within the range gate as voxels, with a prior of what occupies them, and the beams over it.
+    """The road of some frames as voxels, with a prior of what occupies them, and the beams over it.
 
     Parameters
     ----------
-    context : SceneContext
-        The frames weigh by their counted vehicles; one at least is needed. All their vehicles occupy voxels.
+    frames : sequence of CountedFrame
+        They weigh by their counted vehicles; one at least is needed. All their vehicles occupy voxels.
+    observation : Observation
+        Whose LiDARs look.
 
     Attributes
     ----------
     grid : VoxelGrid
-        From the ground to the top of the tallest vehicle.
+        From the ground to the top of the tallest vehicle, about all boxes that count.
     frames : OccupiedFrames
         The prior.
-    beams : ndarray, (b, 3)
-        In the sensor's frame. Of each ring only as many as are needed to keep neighbours less than a voxel apart as far
-        as the range gate; which voxels these cross is exact.
+    low, high : ndarray, (2,)
+        Corners of the rectangle about these boxes [m].
+    area_m2 : float
+        Its area [m²].
     """
 
-    def __init__(self, context: SceneContext) -> None:
-        field = context.field
-        corners, centre = np.asarray(field.polygon_m, dtype=float), np.asarray(field.centre_xy_m)
-        low, high = np.clip(
-            [corners.min(axis=0), corners.max(axis=0)], centre - field.radius_m, centre + field.radius_m
-        )
-        top = max(float((boxes.centre_m[:, 2] + 0.5 * boxes.size_m[:, 2]).max(initial=0.0)) for boxes in context.frames)
-        self.grid = VoxelGrid.covering((*low, 0.0), (*high, max(top, ROAD_VOXEL_M)), ROAD_VOXEL_M)
+    def __init__(self, frames: Sequence[CountedFrame], observation: Observation) -> None:
+        vehicles = [frame.vehicles for frame in frames]
+        ends = [_ends(boxes.select(frame.counted)) for boxes, frame in zip(vehicles, frames, strict=True)]
+        self.low, self.high = np.concatenate(ends).min(axis=0), np.concatenate(ends).max(axis=0)
+        self.area_m2 = float(np.prod(self.high - self.low))
+        top = max(float((boxes.centre_m[:, 2] + 0.5 * boxes.size_m[:, 2]).max(initial=0.0)) for boxes in vehicles)
+        self.grid = VoxelGrid.covering((*self.low, 0.0), (*self.high, max(top, ROAD_VOXEL_M)), ROAD_VOXEL_M)
         self.frames = OccupiedFrames(
-            [self.grid.in_boxes(boxes.centre_m, boxes.size_m, boxes.heading_rad) for boxes in context.frames],
+            [self.grid.in_boxes(boxes.centre_m, boxes.size_m, boxes.heading_rad) for boxes in vehicles],
             len(self.grid),
-            [np.count_nonzero(boxes.counted) for boxes in context.frames],
+            [np.count_nonzero(frame.counted) for frame in frames],
         )
-        if not self.frames.prior.any():
-            raise InputError("no vehicle of the frames is on the carriageway of [road]; check [road] and [traffic]")
-        apart = 2.0 * np.pi / context.directions.shape[1] * context.max_range_m
-        self.beams = context.directions[:, :: max(int(ROAD_VOXEL_M / apart), 1)].reshape(-1, 3)
-        self._ranges = context.max_range_m, context.min_range_m
+        self._lidars = [(lidar, thinned(lidar)) for lidar in observation.lidars]
 
-    def covered(self, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-        """Which voxels a mounting's beams cross, (voxels,) bool."""
-        return covered_voxels(self.grid, origin_m, _turned(self.beams, rotation), *self._ranges)
+    def covered(self, layout: Sequence[Pose | None]) -> np.ndarray:
+        """Which voxels a layout's beams cross, (voxels,) bool."""
+        covered = np.zeros(len(self.grid), dtype=bool)
+        for lidar, beams, pose in self._hung(layout):
+            covered |= covered_voxels(self.grid, pose.position, beams, lidar.max_range_m, lidar.min_range_m)
+        return covered
 
-    def surprisal(self, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-        """Entropy of the voxels that a mounting's beams cross, as each frame's surprisal [nats], (f,)."""
-        return self.frames.surprisal(self.covered(origin_m, rotation))
+    def surprisal(self, layout: Sequence[Pose | None]) -> np.ndarray:
+        """Entropy of the voxels that a layout's beams cross, as each frame's surprisal [nats], (f,)."""
+        return self.frames.surprisal(self.covered(layout))
 
-    def reached(self, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-        """Probability that a mounting's best beam gets to each voxel, (voxels,)."""
-        beams = _turned(self.beams, rotation)
-        return reach_probability(self.grid, self.frames.prior, origin_m, beams, *self._ranges)
+    def reached(self, layout: Sequence[Pose | None]) -> np.ndarray:
+        """Probability that a layout's best beam gets to each voxel, (voxels,)."""
+        best, prior = np.zeros(len(self.grid)), self.frames.prior
+        for lidar, beams, pose in self._hung(layout):
+            found = reach_probability(self.grid, prior, pose.position, beams, lidar.max_range_m, lidar.min_range_m)
+            np.maximum(best, found, out=best)
+        return best
+
+    def ground_points(self, layout: Sequence[Pose | None]) -> np.ndarray:
+        """Where a layout's beams, all of them, meet the empty road, (k, 2) [m]."""
+        points = [np.zeros((0, 2))]
+        for (lidar, _), pose in zip(self._lidars, layout, strict=True):
+            if pose is None:
+                continue
+            directions = _turned(lidar.lattice.directions.reshape(-1, 3), pose.rotation)
+            down = directions[directions[:, 2] * lidar.max_range_m <= -pose.position[2]]  # that reach it in range
+            away = -pose.position[2] / down[:, 2]
+            met = pose.position[:2] + away[:, None] * down[:, :2]
+            inside = ((met >= self.low) & (met <= self.high)).all(axis=1)
+            points.append(met[(away >= lidar.min_range_m) & inside])
+        return np.concatenate(points)
+
+    def _hung(self, layout) -> Iterator[tuple[Lidar, np.ndarray, Pose]]:
+        """The LiDARs that hang in a layout, their beams as they point there, and their poses."""
+        for (lidar, beams), pose in zip(self._lidars, layout, strict=True):
+            if pose is not None:
+                yield lidar, _turned(beams, pose.rotation), pose
 
 
-class SceneScore:
-    """Scores a frame's vehicles by the value of their frame under each mounting.
+def _ends(boxes: Vehicles) -> np.ndarray:
+    """The least and the greatest x and y of each box, (2 v, 2) [m]."""
+    cos, sin = np.abs([np.cos(boxes.heading_rad), np.sin(boxes.heading_rad)])
+    length, width, _ = 0.5 * boxes.size_m.T
+    reach = np.stack([cos * length + sin * width, sin * length + cos * width], axis=1)
+    return np.concatenate([boxes.centre_m[:, :2] - reach, boxes.centre_m[:, :2] + reach])
 
-    Parameters
-    ----------
-    context : SceneContext
-        The frames that can be scored.
-    prepare : callable
-        Makes of the context what values are made of, once, when first needed.
-    values : callable
-        Makes of that, an origin (3,) and a rotation (3, 3) the value of every frame, (f,) or one for all.
+
+def thinned(lidar: Lidar) -> np.ndarray:
+    """Of each ring as many beams as keep neighbours less than a voxel apart up to the range gate, (b, 3).
+
+    In the sensor's frame; which voxels these cross is exact.
     """
-
-    def __init__(self, context: SceneContext, prepare: Callable, values: Callable) -> None:
-        self._context, self._prepare, self._values = context, prepare, values
-        self._row = {boxes.frame: row for row, boxes in enumerate(context.frames)}
-        self._kept: dict[bytes, np.ndarray] = {}
-
-    def __call__(self, returns: VehicleReturns) -> np.ndarray:
-        """The value of each vehicle's frame under each mounting, (s n,)."""
-        view = returns.view
-        if not len(returns):
-            return np.zeros(0)
-        most = max(_MOUNTINGS_KEPT, len(view.origin_m))
-        of_frames = [self._of(*mount, most) for mount in zip(view.origin_m, view.rotation, strict=True)]
-        row, counted = self._row[view.boxes.frame], np.count_nonzero(view.boxes.counted)
-        return np.repeat([value[row] for value in of_frames], counted)
-
-    @cached_property
-    def _ready(self):
-        return self._prepare(self._context)
-
-    def _of(self, origin, rotation, most):
-        """Values of all frames under a mounting, (f,), kept with those of `most` for the other frames to come."""
-        key = origin.tobytes() + rotation.tobytes()
-        if key not in self._kept:
-            if len(self._kept) >= most:
-                del self._kept[next(iter(self._kept))]
-            self._kept[key] = np.broadcast_to(self._values(self._ready, origin, rotation), len(self._row))
-        return self._kept[key]
-
-
-def ground_points(context: SceneContext, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Where a mounting's beams meet the empty road within the field, (k, 2) [m]."""
-    directions = _turned(context.directions.reshape(-1, 3), rotation)
-    down = directions[directions[:, 2] * context.max_range_m <= -origin_m[2]]  # that reach the ground in range
-    distance = -origin_m[2] / down[:, 2]
-    points = origin_m[:2] + distance[:, None] * down[:, :2]
-    return points[(distance >= context.min_range_m) & _holds(context.field, points)]
+    directions = lidar.lattice.directions  # (rings, columns, 3)
+    apart = 2.0 * np.pi / directions.shape[1] * lidar.max_range_m
+    return directions[:, :: max(int(ROAD_VOXEL_M / apart), 1)].reshape(-1, 3)
 
 
 def _turned(directions, rotation):
@@ -250,44 +215,73 @@ def _turned(directions, rotation):
     return np.einsum("ij,jk->ik", directions, rotation)
 
 
-def _holds(field: Field, points):
-    within = np.hypot(*(points - field.centre_xy_m).T) <= field.radius_m
-    return within & polygon_holds(field.polygon_m, points)
+class SceneScore:
+    """Scores a frame's vehicles by the value of their frame under each layout.
+
+    Parameters
+    ----------
+    frames, observation
+        What the `Road` is made of, once, when first needed.
+    values : callable
+        Makes of it and a layout the value of every frame, (f,) or one for all.
+    """
+
+    def __init__(self, frames: Sequence[CountedFrame], observation: Observation, values: Callable) -> None:
+        self._scene, self._values = (frames, observation), values
+        self._row = {frame.vehicles.frame: row for row, frame in enumerate(frames)}
+        self._kept: dict[bytes, np.ndarray] = {}
+
+    def __call__(self, returns: VehicleReturns) -> np.ndarray:
+        """The value of each vehicle's frame under each layout, (s n,)."""
+        if not len(returns):
+            return np.zeros(0)
+        most = max(_LAYOUTS_KEPT, len(returns.layouts))
+        row, counted = self._row[returns.frame.vehicles.frame], np.count_nonzero(returns.frame.counted)
+        return np.repeat([self._of(layout, most)[row] for layout in returns.layouts], counted)
+
+    @cached_property
+    def _road(self):
+        return Road(*self._scene)
+
+    def _of(self, layout, most):
+        """Values of all frames under a layout, (f,), kept with those of `most` for the other frames to come."""
+        key = b"".join(b"-" if one is None else one.position.tobytes() + one.rotation.tobytes() for one in layout)
+        if key not in self._kept:
+            if len(self._kept) >= most:
+                del self._kept[next(iter(self._kept))]
+            self._kept[key] = np.broadcast_to(self._values(self._road, layout), len(self._row))
+        return self._kept[key]
 
 
-def _of_scene(prepare: Callable, **described) -> Callable:
+def _of_scene(**described) -> Callable:
     """Decorator: a metric from the values that `SceneScore` takes; `described` goes to `blender_lidar.metric`."""
 
     def decorated(values: Callable) -> Metric:
         @wraps(values)
-        def learn(scene: SceneContext) -> SceneScore:
-            return SceneScore(scene, prepare, values)
+        def learn(frames: Sequence[CountedFrame], observation: Observation) -> SceneScore:
+            return SceneScore(frames, observation, values)
 
-        return bl.metric(learn, needs=["view"], learns=True, **described)
+        return bl.metric(learn, needs=["layouts"], learns=True, **described)
 
     return decorated
-
-
-def _itself(scene: SceneContext) -> SceneContext:
-    return scene
 
 
 _TOGETHER = {"unit": "nats", "decimals": 1}
 
 
-@_of_scene(Road, label="entropy of covered voxels", tells=_UNSURE + "together, that beams cross", **_TOGETHER)
-def covered_entropy(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Entropy H(POG | L) of the voxels that a mounting's beams cross, as surprisal in each frame [nats], (f,).
+@_of_scene(label="entropy of covered voxels", tells=_UNSURE + "together, that beams cross", **_TOGETHER)
+def covered_entropy(road: Road, layout: Sequence[Pose | None]) -> np.ndarray:
+    """Entropy H(POG | L) of the voxels that a layout's beams cross, as surprisal in each frame [nats], (f,).
 
     S-MIG of Hu, Liu, Chitlangia, Agnihotri and Zhao (CVPR 2022, arXiv:2105.00373) is minus it: this has the sign that
     rewards a sensor for covering what is uncertain, where vehicles are sometimes but not always. No published metric
     has this sign with this formula; see `s_mig` for why it is needed. Higher is better.
     """
-    return road.surprisal(origin_m, rotation)
+    return road.surprisal(layout)
 
 
-@_of_scene(Road, label="S-MIG", tells=_SURE + "together, that beams cross", **_TOGETHER)
-def s_mig(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+@_of_scene(label="S-MIG", tells=_SURE + "together, that beams cross", **_TOGETHER)
+def s_mig(road: Road, layout: Sequence[Pose | None]) -> np.ndarray:
     """S-MIG as published, minus the sum of H(p) over covered voxels, as surprisal in each frame [nats], (f,).
 
     Hu, Liu, Chitlangia, Agnihotri and Zhao, "Investigating the Impact of Multi-LiDAR Placement on Object Detection for
@@ -298,11 +292,11 @@ def s_mig(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     every voxel that a beam adds lowers it. It was meant for set-ups with as many beams in the same region, and is of
     use between such alone; a search that may turn beams away from the road will do so.
     """
-    return 0.0 - road.surprisal(origin_m, rotation)
+    return 0.0 - road.surprisal(layout)
 
 
-@_of_scene(Road, label="M-SOG", unit="nats", decimals=4, tells=_SURE + "in the mean, that beams cross")
-def m_sog(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+@_of_scene(label="M-SOG", unit="nats", decimals=4, tells=_SURE + "in the mean, that beams cross")
+def m_sog(road: Road, layout: Sequence[Pose | None]) -> np.ndarray:
     """M-SOG, minus the mean of H(p) over covered voxels, as surprisal in each frame [nats], (f,); 0 without any.
 
     Li, Kong, Hu, Xu and Huang, "Is Your LiDAR Placement Optimized for 3D Scene Understanding?" (Place3D), NeurIPS 2024,
@@ -313,12 +307,12 @@ def m_sog(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     greatest for a sensor that covers nothing uncertain, or nothing at all: degenerate as `s_mig` is. Between set-ups
     with as many covered voxels both say the same.
     """
-    covered = road.covered(origin_m, rotation)
+    covered = road.covered(layout)
     return 0.0 - road.frames.surprisal(covered) / max(np.count_nonzero(covered), 1)
 
 
-@_of_scene(Road, unit="voxels", decimals=1, tells="how many occupied voxels beams can be expected to meet")
-def expected_visibility(road: Road, origin_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+@_of_scene(unit="voxels", decimals=1, tells="how many occupied voxels beams can be expected to meet")
+def expected_visibility(road: Road, layout: Sequence[Pose | None]) -> np.ndarray:
     """Expected visibility: occupied voxels that a beam can be expected to meet in each frame, (f,); higher is better.
 
     What the group of Ma, Zheng and Easa places roadside LiDARs by, sum of p_k prod_{j<k} (1 - p_j) in the mean over the
@@ -327,22 +321,20 @@ def expected_visibility(road: Road, origin_m: np.ndarray, rotation: np.ndarray) 
     Occlusion by traffic enters as an expectation, from one prior and without casting a beam at a vehicle. How densely
     beams sample a voxel does not enter.
     """
-    return road.frames.sums(road.reached(origin_m, rotation))
+    return road.frames.sums(road.reached(layout))
 
 
-@_of_scene(
-    _itself, label="density of ground returns", unit="points/m²", tells="how densely beams sample the empty road"
-)
-def ground_density(context: SceneContext, origin_m: np.ndarray, rotation: np.ndarray) -> float:
-    """Returns of a mounting from the empty road per area of the field, N / A [points/m²]; higher is better.
+@_of_scene(label="density of ground returns", unit="points/m²", tells="how densely beams sample the empty road")
+def ground_density(road: Road, layout: Sequence[Pose | None]) -> float:
+    """Returns of a layout from the empty road per area of the field, N / A [points/m²]; higher is better.
 
     Cai et al., ICRA 2023, arXiv:2211.15975 (PCSim, `ComputeDNUC.py`). It falls with the square of distance, so that the
     metres next to the pole decide it. It knows no vehicles: neither where they drive nor what they hide.
     """
-    return len(ground_points(context, origin_m, rotation)) / field_area(context.field)
+    return len(road.ground_points(layout)) / road.area_m2
 
 
-@_of_scene(_itself, label=_NUC, lower_is_better=True, tells="how unevenly beams sample the empty road")
-def ground_nuc(context: SceneContext, origin_m: np.ndarray, rotation: np.ndarray) -> float:
-    """`nuc` of a mounting over the empty road."""
-    return nuc(ground_points(context, origin_m, rotation), field_area(context.field))
+@_of_scene(label=_NUC, lower_is_better=True, tells="how unevenly beams sample the empty road")
+def ground_nuc(road: Road, layout: Sequence[Pose | None]) -> float:
+    """`nuc` of a layout over the empty road."""
+    return nuc(road.ground_points(layout), road.area_m2)
