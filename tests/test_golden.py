@@ -172,10 +172,7 @@ def metrics_of_a_cloud(folder: Path) -> dict:
     command("evaluate", scene, "--height", 4.1, "--tilt-x", 19, "--out", folder / "run")
     words = ["--points", folder / "cloud.npz", "--boxes", folder / "run" / "vehicles.csv", "--metric", "all"]
     words += [word for name, option in OPTIONS.items() if name != "distance" for word in ("--metric", option)]
-    found = {
-        assign: json.loads(command("score", *words, "--assign", assign, "--json"))
-        for assign in ("id", "box")
-    }
+    found = {assign: json.loads(command("score", *words, "--assign", assign, "--json")) for assign in ("id", "box")}
     for result in found.values():
         for key in ("points", "boxes"):
             if isinstance(result.get(key), str):
