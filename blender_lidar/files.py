@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import errno
+import gzip
 import hashlib
 import io
 import math
@@ -15,6 +16,7 @@ import os
 import secrets
 import stat
 import warnings
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -228,7 +230,7 @@ _HELD_BY_ANOTHER = {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES, errno.EDEADLK
 
 
 def write_columns(
-    path: str | Path, columns: Mapping[str, np.ndarray], decimals: Mapping[str, int] | None = None
+    path: str | Path, columns: Mapping[str, np.ndarray], decimals: Mapping[str, int] | None = None, *, head: str = ""
 ) -> None:
     """Write columns of equal length as CSV.
 
@@ -240,12 +242,14 @@ def write_columns(
         Names and values; True and False become 1 and 0.
     decimals : mapping of str to int, optional
         Digits after the point for a column of floats; others are written so that reading gives the same float.
+    head : str
+        Lines before the header.
     """
     decimals = decimals or {}
     import numpy as np  # here alone: whoever asks for help does not wait for it
 
     texts = [_texts(np.asarray(values), decimals.get(name)) for name, values in columns.items()]
-    write_text(path, to_csv(list(columns), zip(*texts, strict=True)))
+    write_text(path, head + to_csv(list(columns), zip(*texts, strict=True)))
 
 
 def to_csv(header: Sequence[str], rows) -> str:
@@ -288,6 +292,25 @@ def open_file(path: str | Path) -> BinaryIO:
     if kind not in (stat.S_IFREG, stat.S_IFDIR):  # a folder says so itself
         raise OSError(errno.EINVAL, "is a named pipe or a device; a regular file is needed", str(path))
     return Path(path).open("rb")
+
+
+@contextmanager
+def open_bytes(path: str | Path, *, unpack: bool = True) -> Iterator[BinaryIO]:
+    """Open a file that a user names, unpacked if its content (not its name) is gzip.
+
+    Raises
+    ------
+    MissingFileError
+        If there is no such file.
+    InputError
+        If it is a folder, a pipe or a device, may not be read, or turns out to be damaged while it is read.
+    """
+    with reading(path, "a table or recording"), open_file(path) as file:
+        packed = unpack and file.peek(2)[:2] == b"\x1f\x8b"
+        try:
+            yield gzip.GzipFile(fileobj=file) if packed else file
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise InputError(f"{path}: truncated or damaged gzip file ({error})") from error
 
 
 @contextmanager

@@ -65,17 +65,17 @@ LIBRARIES = {
     "plyfile": ("clouds/files.py",),
     "lzf": ("clouds/files.py",),
     "zstandard": ("world/blender/site.py",),
-    "pyarrow": ("traffic/sumo.py",),
+    "pyarrow": ("csv_tables.py",),
     "sumolib": ("road/sumo_net.py",),
     "matplotlib": ("report/",),
     "tqdm": ("commands/progress.py",),
     "scipy": ("studies/",),
     "sklearn": ("detection/classical.py",),
     "distributed": ("scoring/cluster.py",),
-    "pandas": ("results.py",),
+    "pandas": ("results.py", "csv_tables.py"),
 }
 # Rooms in the order in which the data walks, and those that each may import besides the floor.
-FLOOR = {"errors", "names", "files", "compiled", "signals", "statistics", "plugins", "toml_table"}
+FLOOR = {"errors", "names", "files", "compiled", "csv_tables", "signals", "statistics", "plugins", "toml_table"}
 ROOMS = {
     **{name: set() for name in FLOOR},
     "metrics": set(),

@@ -92,7 +92,7 @@ CAUSES = {  # what the line says of each
     "frames that count in seconds of the day": "csv:4: frame is 0.1; allowed: a whole number",
     "a table of something else": "no traffic that is known: it begins with 'date,price'",
     "a picture": "not a text file",
-    "nothing": "no rows; a file of vehicles is needed",
+    "nothing": "no rows; a table is needed",
     "a header alone": "no rows below the header in line 1",
 }
 

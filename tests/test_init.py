@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import sys
 import tomllib
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.road import StraightRoad
 from blender_lidar.scene.provenance import run_identity
 from blender_lidar.scene.scenario import load_scenario, shipped_scenes
-from blender_lidar.scene.site import prepare
+from blender_lidar.scene.site import prepare, read_recording
 from blender_lidar.toml_table import to_toml
 from blender_lidar.traffic import read_traffic
 from blender_lidar.traffic.layout import propose_layout
@@ -460,3 +461,16 @@ def test_a_path_is_valid_toml_whatever_it_holds(text):
 def test_a_path_below_the_folder_is_relative_to_it(tmp_path):
     assert _path(tmp_path / "site" / "data" / "run.csv", tmp_path / "site") == '"data/run.csv"'
     assert tomllib.loads(f"p = {_path(tmp_path / 'run.csv', tmp_path / 'site')}")["p"] == str(tmp_path / "run.csv")
+
+
+def test_a_table_that_blender_cannot_read_is_written_as_one_that_it_can(tmp_path, monkeypatch):
+    without_charts(monkeypatch)
+    path = table_of(tmp_path / "t.csv", both_ways("right", 30.0))
+    foreign = tmp_path / "excel.csv"
+    foreign.write_text(path.read_text().replace(",", ";").replace(".", ","), encoding="utf-16")
+    assert run("init", tmp_path / "plain", path) == run("init", tmp_path / "site", foreign) == 0
+    plain, made = (load_scenario(tmp_path / name / "scene.toml") for name in ("plain", "site"))
+    assert (Path(made.traffic.path).name, made.traffic.format) == ("traffic.csv", "table")
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    np.testing.assert_array_equal(read_recording(made).centre_m, read_recording(plain).centre_m)
+    assert read_recording(made).report == read_recording(plain).report

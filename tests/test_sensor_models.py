@@ -520,7 +520,7 @@ BAD_CSV = {
         "OWN:3: ring is 0; 2 rings are numbered 0 to 1, each once",
     ),
     "ring missing": ("ring,elevation_deg\n0,1\n2,2\n", "OWN:3: ring is 2; 2 rings are numbered 0 to 1"),
-    "empty": ("", "OWN:beams: 0 rings; allowed: 1 to 4096"),
+    "empty": ("", "OWN: no rows; a table is needed"),
 }
 BAD_TOML = {
     "no beams": ('name = "x"', "OWN:beams: 0 rings; allowed: 1 to 4096"),

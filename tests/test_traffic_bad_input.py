@@ -8,8 +8,9 @@ import sys
 import numpy as np
 import pytest
 
+from blender_lidar import csv_tables as source
 from blender_lidar.errors import BlenderLidarError, InputError, MissingExtraError, MissingFileError
-from blender_lidar.traffic import read_traffic, source
+from blender_lidar.traffic import read_traffic
 from tests import sumo_samples as sumo
 from tests import traffic_samples as ngsim
 from tests.traffic_samples import refused
@@ -35,7 +36,7 @@ def with_field(text, line, field, value, separator=None):
 def test_an_empty_file(tmp_path, content):
     path = tmp_path / "empty.txt"
     path.write_bytes(content)
-    assert refused(path) == "FILE: no rows; a file of vehicles is needed"
+    assert refused(path) == "FILE: no rows; a table is needed"
 
 
 @pytest.mark.parametrize(
@@ -265,7 +266,7 @@ def test_a_bad_value_in_parquet(tmp_path):
     sumo.need_pyarrow()
     path = tmp_path / "run.parquet"
     sumo.write_parquet(path, [*ROWS, sumo.row(0.8, x="nan")])
-    assert refused(path) == f"FILE: row {len(ROWS) + 1}: x is 'nan'; allowed: {PLACE}"
+    assert refused(path) == f"FILE: row {len(ROWS) + 1}: x is nothing; allowed: {PLACE}"
     sumo.write_parquet(path, [*ROWS, sumo.row(0.8, y=None)])
     assert f"FILE: row {len(ROWS) + 1}: y is" in refused(path)
     sumo.write_parquet(path, ROWS, columns=("time", "id", "x", "y"))

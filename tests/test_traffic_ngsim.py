@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from blender_lidar import csv_tables as source
 from blender_lidar.errors import InputError
 from blender_lidar.road.straight import StraightRoad, road_map
-from blender_lidar.traffic import CLASSES, ngsim, plan_frames, read_traffic, source
+from blender_lidar.traffic import CLASSES, ngsim, plan_frames, read_traffic
 from tests import traffic_samples as samples
 from tests.traffic_samples import assert_same_boxes
 

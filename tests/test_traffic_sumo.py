@@ -140,7 +140,7 @@ def test_every_text_layout_gives_the_same_recording(tmp_path, expected, layout, 
 
 
 def test_chunks_do_not_show(tmp_path, expected, monkeypatch):
-    from blender_lidar.traffic import source as csv_rows
+    from blender_lidar import csv_tables as csv_rows
     from blender_lidar.traffic import sumo_types
 
     monkeypatch.setattr(csv_rows, "_CHUNK_ROWS", 3)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import gzip
+import sys
 
 import numpy as np
 import pytest
 
-from blender_lidar.errors import InputError, MissingFileError
-from blender_lidar.traffic import format_of, read_table, read_traffic
-from blender_lidar.traffic import source as csv_rows
+from blender_lidar import csv_tables as csv_rows
+from blender_lidar.errors import InputError, MissingExtraError, MissingFileError
+from blender_lidar.traffic import format_of, needs_pandas, read_table, read_traffic, write_table
 from blender_lidar.traffic.presets import PRESETS, meta_files
 from blender_lidar.traffic.table import BOX_NEEDED
 from blender_lidar.traffic.vehicles import CLASSES, RepairReport
@@ -512,3 +513,25 @@ def test_runs_of_a_tgsim_file_that_are_left_out_are_named(tmp_path):
     assert len(found) == 100
     assert found.report.rows_read == 200
     assert any("2 runs found (run-index 1, 2); the first is used" in note for note in found.report.notes)
+
+
+def test_what_a_foreign_table_is_written_as_gives_the_same_boxes_and_says_the_same(tmp_path):
+    path = sheet(tmp_path, **SHEETS["French Excel, Unicode text"])
+    recording = read_traffic(path)
+    assert (needs_pandas(path), needs_pandas(write(tmp_path))) == (True, False)
+    write_table(tmp_path / "traffic.csv", recording)
+    again = read_traffic(tmp_path / "traffic.csv")
+    for name in COLUMNS:
+        tolerance = 1e-15 if name == "heading_rad" else 0.0  # in degrees on its way
+        np.testing.assert_allclose(getattr(again, name), getattr(recording, name), rtol=tolerance, err_msg=name)
+    assert again.report == recording.report
+    write_table(tmp_path / "again.csv", again)
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "traffic.csv").read_bytes()
+
+
+@pytest.mark.parametrize("case", ["German Excel", "UTF-16 without its mark"])
+def test_a_foreign_table_without_pandas_says_what_to_do(tmp_path, monkeypatch, case):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(MissingExtraError, match=r"pip install pandas; inside Blender, .* init writes of it outside"):
+        read_traffic(sheet(tmp_path, **SHEETS[case]))
+    same(read_traffic(sheet(tmp_path, mark=";")), read_table(write(tmp_path, rows=TEN)))

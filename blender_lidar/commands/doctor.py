@@ -17,6 +17,7 @@ from ..sensors.pose import Pose
 
 _OPTIONAL = {
     "scipy": "",
+    "pandas": "",
     "bpy": "blender",
     "numba": "fast",
     "embreex": "fast",
@@ -24,7 +25,6 @@ _OPTIONAL = {
     "tqdm": "plots",
     "pyarrow": "parquet",
     "eclipse-sumo": "sumo",
-    "pandas": "sumo",
     "distributed": "cluster",
 }
 _TOLERANCE_M = 1e-4

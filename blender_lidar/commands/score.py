@@ -21,7 +21,7 @@ from ..metrics.vgop import entropy, to_vehicle_frame
 from ..optimise import detectable
 from ..report.summary import warnings_text
 from ..traffic import read_table
-from ..traffic.source import NUMBERED
+from ..traffic.tracks import NUMBERED
 from ..traffic.vehicles import Vehicles
 from .cloud_options import ScoreOptions
 from .options import options_of

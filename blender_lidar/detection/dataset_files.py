@@ -17,6 +17,7 @@ import numpy as np
 
 from ..clouds.files import levelled, write_npz
 from ..clouds.snapshot import MountedSensor
+from ..csv_tables import Column, laid_out, read_whole
 from ..errors import InputError
 from ..files import (
     check_folder,
@@ -33,8 +34,6 @@ from ..files import (
 from ..names import DATASET_LAYOUTS
 from ..scene.mounting import MOUNTED
 from ..scene.provenance import check_identity
-from ..traffic.header import laid_out
-from ..traffic.source import Column, read_rows
 from ..traffic.table import BOX_COLUMNS
 from ..traffic.vehicles import CLASSES
 from .dataset import TRAIN, VAL, DatasetPlan, Sample, sample
@@ -79,12 +78,8 @@ _OF_BOXES = {
 
 def read_columns(path: Path, columns: Mapping[str, Column], text: str) -> dict[str, np.ndarray]:
     """Columns of a table of a data set: numbers, and one of texts."""
-    parts = list(read_rows(path, laid_out(path, (*columns, text)), columns, [text]))
-    found = {
-        name: np.concatenate([np.zeros(0), *(rows.numbers(name, column) for rows in parts)])
-        for name, column in columns.items()
-    }
-    return {**found, text: np.array([word for rows in parts for word in rows.columns[text].tolist()], dtype=str)}
+    rows = read_whole(path, laid_out(path, (*columns, text)), columns, [text])
+    return {**rows.columns, text: np.array(rows.columns[text], dtype=str)}
 
 
 def read_boxes(folder: Path, number: int) -> dict[str, np.ndarray]:

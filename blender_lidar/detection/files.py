@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from ..clouds.files import levelled
+from ..csv_tables import Column, laid_out, read_whole
 from ..errors import InputError, MissingFileError, printable, unknown_name
 from ..files import make_folder, read_text, reading, write_columns, write_text
 from ..road.road_map import wrap_angle
 from ..sensors.pose import Pose
 from ..traffic.boxes import KINDS, DetectedBoxes, boxes_of_rows, join_boxes
-from ..traffic.header import laid_out
-from ..traffic.source import Column, Rows, read_rows
 from ..traffic.vehicles import Vehicles
 
 _CAR, _LARGE, _SMALL = range(len(KINDS))
@@ -109,26 +108,18 @@ def write_detected(path: str | Path, of_frame: Mapping[int, DetectedBoxes]) -> N
 
 
 def _read_csv(path: Path) -> dict[int, DetectedBoxes]:
-    layout = laid_out(path, ("class", *_COLUMNS))
-    parts = [_of_rows(rows) for rows in read_rows(path, layout, _COLUMNS, ["class"])]
-    frames = np.concatenate([np.zeros(0, np.int64), *(frame for frame, _ in parts)])
-    return _by_frame(frames, join_boxes([boxes for _, boxes in parts]))
-
-
-def _of_rows(rows: Rows) -> tuple[np.ndarray, DetectedBoxes]:
-    value = {name: rows.numbers(name, column) for name, column in _COLUMNS.items()}
-    names = rows.columns["class"].tolist()
-    kind = np.array(
-        [-1 if (found := _kind(name, rows.where(row))) is None else found for row, name in enumerate(names)]
-    )
+    rows = read_whole(path, laid_out(path, ("class", *_COLUMNS)), _COLUMNS, ["class"])
+    value = rows.columns
+    kind = [_kind(name, rows.where(row)) for row, name in enumerate(value["class"].tolist())]
+    kind = np.array([-1 if one is None else one for one in kind], dtype=np.int8)
     boxes = DetectedBoxes(
         np.column_stack([value[name] for name in ("x_m", "y_m", "z_m")]),
         np.column_stack([value[name] for name in ("length_m", "width_m", "height_m")]),
         np.radians(value["heading_deg"]),
-        kind.astype(np.int8),
+        kind,
         value["confidence"],
     )
-    return value["frame"].astype(np.int64)[kind >= 0], boxes.select(kind >= 0)
+    return _by_frame(value["frame"].astype(np.int64)[kind >= 0], boxes.select(kind >= 0))
 
 
 def _by_frame(frame: np.ndarray, boxes: DetectedBoxes) -> dict[int, DetectedBoxes]:

@@ -17,6 +17,7 @@ from ..clouds.files import LIDARS, READERS, read_cloud, read_points
 from ..clouds.fit import accepted, detections_misfit, in_frame
 from ..clouds.rings import beam_phase, on_beams
 from ..clouds.scan import PointCloud
+from ..csv_tables import Column
 from ..errors import InputError
 from ..road.straight import StraightRoad, road_map
 from ..scene.mounting import COORDINATES, MOUNTED, mounting_from
@@ -31,7 +32,6 @@ from ..sensors.model import load_model, model_names
 from ..sensors.pose import Pose
 from ..toml_table import Setting, TomlTable
 from ..traffic.boxes import DetectedBoxes
-from ..traffic.source import Column
 from ..traffic.vehicles import CLASSES, Recording, Vehicles
 from .classical import ClassicalDetector
 from .dataset import VAL

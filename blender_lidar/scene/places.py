@@ -10,13 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ..csv_tables import Column, laid_out, read_whole
 from ..errors import InputError, shown
 from ..road.mapped import Road
 from ..road.road_map import RoadMap
 from ..road.straight import StraightRoad
 from ..toml_table import TomlTable
-from ..traffic.header import laid_out
-from ..traffic.source import Column, read_rows
 from . import usual
 from .deployment import (
     BASELINE,
@@ -257,16 +256,14 @@ def read_poles(path: str | Path) -> tuple[Pole, ...]:
     """
     layout = laid_out(path, _NEEDED, _OPTIONAL)
     poles: dict[str, Pole] = {}
-    for rows in read_rows(path, layout, _NUMBERS, ["name", "existing"]):
-        numbers = {key: rows.numbers(key, column).tolist() for key, column in _NUMBERS.items() if key in rows.columns}
-        texts = {key: rows.columns[key].tolist() for key in ("name", "existing") if key in rows.columns}
-        for row in range(len(rows)):
-            where = rows.where(row)
-            values = {key: None if np.isnan(column[row]) else column[row] for key, column in numbers.items()}
-            pole = _pole(where, values, {key: str(column[row]).strip() for key, column in texts.items()})
-            if pole.name in poles:
-                raise InputError(f"{where}: name is {shown(pole.name)}, as in a line before; allowed: each pole once")
-            poles[pole.name] = pole
+    rows = read_whole(path, layout, _NUMBERS, ["name", "existing"])
+    for row in range(len(rows)):
+        where, cells = rows.where(row), {key: column[row] for key, column in rows.columns.items()}
+        values = {key: None if np.isnan(cells[key]) else float(cells[key]) for key in cells if key in _NUMBERS}
+        pole = _pole(where, values, {key: cells[key].strip() for key in cells if key not in _NUMBERS})
+        if pole.name in poles:
+            raise InputError(f"{where}: name is {shown(pole.name)}, as in a line before; allowed: each pole once")
+        poles[pole.name] = pole
     if not poles or len(poles) > _MOST:
         raise InputError(f"{path}: has {len(poles)} poles; allowed: 1 to {_MOST}")
     places = np.array([(pole.x_m, pole.y_m) for pole in poles.values()])

@@ -6,7 +6,6 @@ rot_correction is taken from the encoder's clockwise angle (velodyne_pointcloud,
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import re
@@ -15,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from ..csv_tables import column_meant, fields_of, first_lines
 from ..errors import InputError, MissingExtraError, unknown_name
-from ..files import number, read_file, reading
+from ..files import number, read_text, reading
 
 Row = tuple[str, dict[str, object]]
 """Where a beam stands (``file:line`` or ``file:beams[i]``), and its values by the names of the columns."""
@@ -48,40 +48,24 @@ def read_beam_table(path: Path) -> tuple[dict[str, Any], list[Row]]:
     MissingExtraError
         For YAML without PyYAML.
     """
-    with reading(path, "a table of beams"):
-        content = read_file(path)
-    text = _decoded(content)
     reader = {".json": _ouster, ".yaml": _velodyne, ".yml": _velodyne}.get(path.suffix.lower(), _table)
-    settings, rows = reader(path, text)
+    with reading(path, "a table of beams"):
+        settings, rows = reader(path)
     if rows and not any("elevation_deg" in row for _, row in rows):
         raise InputError(f"{rows[0][0]}: has no elevations, which a table of beams needs: {', '.join(COLUMNS)}")
     return settings, rows
 
 
-def _decoded(content: bytes) -> str:
-    for encoding in ("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", "latin-1"):
-        try:
-            return content.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-    return ""
-
-
 # --- CSV: with or without a header, of any separator; RoboSense's angle.csv and Hesai's correction files are such -
 
 
-def _table(path: Path, text: str) -> tuple[dict[str, Any], list[Row]]:
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), start=1) if line.strip(" \t,;")]
-    lines = [(number, line) for number, line in lines if not line.lstrip().startswith(("#", "EEFF"))]
-    if not lines:
+def _table(path: Path) -> tuple[dict[str, Any], list[Row]]:
+    lines = [(number, line) for number, line in first_lines(path) if not line.startswith("EEFF")]  # Hesai's first line
+    separator = next((one for one in ";\t," if lines and one in lines[0][1]), None)
+    cells = [(f"{path}:{number}", fields_of(line, separator)) for number, line in lines]
+    cells = [(where, [_parsed(cell, separator != ",") for cell in row]) for where, row in cells]
+    if not cells:
         return {}, []
-    separator = next((one for one in ";\t," if one in lines[0][1]), None)
-    cells = [
-        (f"{path}:{number}", next(csv.reader([line], delimiter=separator)) if separator else line.split())
-        for number, line in lines
-    ]
-    decimal_comma = separator != ","
-    cells = [(where, [_parsed(cell.strip(), decimal_comma) for cell in row]) for where, row in cells]
     where, head = cells[0]
     if all(isinstance(cell, float) for cell in head):
         columns = _without_header(where, [row for _, row in cells])
@@ -116,8 +100,7 @@ def _columns(where: str, names: list[str]) -> list[str]:
     """Of each column the key that is meant, with its unit behind it, or "" where it is left out."""
     meant = []
     for name in names:
-        words = re.findall("[a-z]+", name.lower())
-        key = next((key for key, known in _WORDS.items() if known & {*words}), None)
+        words, key = re.findall("[a-z]+", name.lower()), column_meant(name, _WORDS)
         if key is None and words:
             raise unknown_name(name, COLUMNS, "column", where)
         unit = next((_UNITS[word] for word in words if word in _UNITS), "")
@@ -146,10 +129,10 @@ def _value(column: str, value: float | str) -> tuple[str, float | str]:
 # --- Makers' own formats ----------------------------------------------------------------------------------------------
 
 
-def _ouster(path: Path, text: str) -> tuple[dict[str, Any], list[Row]]:
+def _ouster(path: Path) -> tuple[dict[str, Any], list[Row]]:
     """Ouster's metadata, of firmware 1 and 2 (all keys at the top) or later (in groups)."""
     try:
-        table = json.loads(text)
+        table = json.loads(read_text(path).removeprefix("\ufeff"))
         groups = dict(table)
         for group in table.values():
             groups |= group if isinstance(group, dict) else {}
@@ -168,17 +151,17 @@ def _ouster(path: Path, text: str) -> tuple[dict[str, Any], list[Row]]:
     return settings, [(f"{path}:beams[{at}]", dict(zip(COLUMNS[1:3], row, strict=True))) for at, row in enumerate(rows)]
 
 
-def _velodyne(path: Path, text: str) -> tuple[dict[str, Any], list[Row]]:
+def _velodyne(path: Path) -> tuple[dict[str, Any], list[Row]]:
     """Velodyne's calibration as velodyne_pointcloud has it: radians, in the order of the lasers."""
     try:
         import yaml
     except ImportError:
         raise MissingExtraError(f'{path}: needs PyYAML: pip install "blender_lidar[formats]"') from None
     try:
-        lasers = yaml.safe_load(text)["lasers"]
+        lasers = yaml.safe_load(read_text(path))["lasers"]
         angles = [(laser["vert_correction"], -laser["rot_correction"]) for laser in lasers]
         rows = [[math.degrees(angle) + 0.0 for angle in pair] for pair in angles]
-    except (yaml.YAMLError, KeyError, TypeError) as error:
+    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
         what = str(error).splitlines()[0]
         raise InputError(
             f"{path}: is no calibration of a Velodyne, with lasers, vert_correction and rot_correction ({what})"

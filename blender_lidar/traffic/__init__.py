@@ -1,6 +1,6 @@
 """Traffic: recordings of any kind into one `Vehicles` per frame, in metres and in the road frame.
 
-SUMO's Parquet files need pyarrow, imported when one is read; the rest needs numpy alone.
+Tables that are not plain need pandas, imported when one is read; the rest needs numpy alone.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from ..csv_tables import delimiter_of, first_lines, foreign, quoted
 from ..errors import InputError, unknown_name
 from ..names import TRAFFIC_FORMATS
 from ..road import StraightRoad
@@ -18,9 +19,8 @@ from .frames import FramePlan, instants, joined_plans, joined_recordings, plan_f
 from .ngsim import NGSIM_COLUMNS, read_ngsim
 from .ngsim import likeness as ngsim_likeness
 from .presets import PRESETS, meta_files, preset_of, read_preset
-from .source import first_lines, quoted
-from .sumo import FCD_NEEDED, kind_of_fcd, parquet_batches, read_sumo
-from .table import BOX_NEEDED, read_table
+from .sumo import FCD_NEEDED, kind_of_fcd, read_sumo
+from .table import BOX_NEEDED, read_table, write_table
 from .table import likeness as table_likeness
 from .vehicles import CLASSES, Recording, RepairReport, Vehicles, overlapping_pairs, with_overlaps_reported
 
@@ -34,11 +34,13 @@ __all__ = [
     "instants",
     "joined_plans",
     "joined_recordings",
+    "needs_pandas",
     "overlapping_pairs",
     "plan_frames",
     "read_table",
     "read_traffic",
     "well_populated_frames",
+    "write_table",
 ]
 
 _READERS = {"ngsim": read_ngsim, "sumo": read_sumo, "table": read_table}
@@ -68,7 +70,7 @@ def read_traffic(
         If the file, one of its values or a setting cannot be used, or a setting is given that the format does not
         have.
     MissingExtraError
-        If a Parquet file is to be read without pyarrow.
+        If pandas or pyarrow is needed and not there.
     """
     if format not in TRAFFIC_FORMATS:
         raise unknown_name(format, TRAFFIC_FORMATS, "traffic format")
@@ -87,6 +89,12 @@ def read_traffic(
     return with_overlaps_reported(replace(recording, report=replace(recording.report, format=format)))
 
 
+def needs_pandas(path: str | Path) -> bool:
+    """Whether a recording is a table that NumPy alone does not read, as inside Blender."""
+    header = first_lines(path)[0][1]
+    return not header.lstrip().startswith("<") and foreign(path, delimiter_of(header, ())) is not None
+
+
 _FEWEST_ALIKE = 4  # of a format's needed columns, by which a header is known
 _MOST_OF_SUMO = 6  # of a table's columns, those that SUMO's own files have or have something like
 
@@ -102,13 +110,6 @@ def format_of(path: str | Path) -> str:
     kind = kind_of_fcd(path)
     if kind == "xml":
         return "sumo"
-    if kind == "parquet":
-        names: list[str] = []
-        next(parquet_batches(path, lambda found: names.extend(found) or dict.fromkeys(found[:1], found[0])), None)
-        header = ",".join(names)
-        if ngsim_likeness(header) > max(table_likeness(header), _MOST_OF_SUMO):
-            raise InputError(f"{path}: is NGSIM's table as Parquet; write it as CSV")
-        return "table" if table_likeness(header) > _MOST_OF_SUMO else "sumo"
     line, header = first_lines(path)[0]
     if header.lstrip()[:1] in ("{", "["):
         raise InputError(f"{path}: is JSON; write a CSV, a row for each vehicle and frame: {', '.join(BOX_NEEDED)}")
@@ -119,7 +120,7 @@ def format_of(path: str | Path) -> str:
         )
     if preset := preset_of(path):
         return preset
-    if kind == "csv" and table_likeness(header) <= _MOST_OF_SUMO:
+    if kind == "table" and table_likeness(header) <= _MOST_OF_SUMO:
         return "sumo"
     ngsim, table = ngsim_likeness(header), table_likeness(header)
     if ngsim >= max(table, _FEWEST_ALIKE):

@@ -11,11 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
+from ..csv_tables import (
+    EMPTY,
+    Column,
+    Rows,
+    TableLayout,
+    fields_of,
+    first_lines,
+    header_names,
+    laid_out,
+    read_rows,
+)
 from ..errors import InputError, unknown_name
 from ..files import number
 from ..road import StraightRoad
-from .header import TableLayout, fields_of, header_names, laid_out
-from .source import EMPTY, Column, Rows, first_lines, read_rows
 from .tracks import (
     WINDOW_S,
     class_index,
@@ -229,7 +238,7 @@ def sniff_layout(path: str | Path) -> TableLayout:
             raise InputError(f"{path}:{line}: {len(fields)} fields; {allowed}")
         return TableLayout((*columns, *trailing), delimiter, line)
     layout = laid_out(path, NGSIM_COLUMNS, _OPTIONAL)
-    if len(lines) < 2:
+    if len(lines) < 2 and line:
         raise InputError(f"{path}: no rows below the header in line {line}")
     return layout
 

@@ -6,8 +6,6 @@ is the length); the INTERACTION dataset's readme; TGSIM's data dictionary.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..csv_tables import Column, TableLayout, fields_of, first_lines, laid_out, read_whole
 from ..errors import InputError, MissingFileError
-from .header import TableLayout, fields_of
-from .source import Column, first_lines, open_bytes, read_rows
 from .table import READ_COLUMNS, read_table
 from .vehicles import Recording
 
@@ -70,8 +67,11 @@ PRESETS = {
     ),
 }
 _MOST_NAMED = 8
-_HIGHD_WAYS = {"1": 180.0, "2": 0.0}  # drivingDirection: 1 along the upper lanes, to the left
-_READ = {**READ_COLUMNS, "time_ms": Column("milliseconds"), "run": Column("a whole number", whole=True)}
+_HIGHD_WAYS = {1: 180.0, 2: 0.0}  # drivingDirection: 1 along the upper lanes, to the left
+_WHOLE = Column("a whole number", whole=True)
+_READ = {**READ_COLUMNS, "time_ms": Column("milliseconds"), "run": _WHOLE}
+_OF_TRACKS = {"id": _WHOLE, "trackId": _WHOLE, "drivingDirection": _WHOLE}
+_OF_RECORDING = {"frameRate": Column("more than 0, up to 1000 Hz", 1e-3, 1e3)}
 
 
 def preset_of(path: str | Path) -> str | None:
@@ -112,14 +112,10 @@ def read_preset(
     ours.setdefault("class", "class")  # where somebody has joined it
     names = [ours.get(name.strip().lower(), "") for name in fields_of(header)]
     layout = TableLayout(names, ",", line + 1)
-    layout.check(known.columns.values(), (), f"{path}:{line}")
-    read = read_rows(path, layout, _READ, ["class", "vehicle_id"])
-    parts = [
-        rows.columns | {key: rows.numbers(key, _READ[key]) for key in rows.columns if key in _READ} for rows in read
-    ]
-    if not parts:
+    layout.check(known.columns.values(), (), path)
+    table = dict(read_whole(path, layout, _READ, ["class", "vehicle_id"]).columns)
+    if not len(table["x_m"]):
         raise InputError(f"{path}: no rows below the header in line {line}")
-    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     runs, rows_read = np.unique(table["run"]) if "run" in table else np.zeros(0), len(table["x_m"])
     if len(runs):
         table = {name: column[table["run"] == runs[0]] for name, column in table.items()}
@@ -148,27 +144,28 @@ def _join(path: str | Path, preset: str, table: dict[str, np.ndarray]) -> None:
     files = {one.stem.rpartition("_")[2]: one for one in meta_files(path, preset)}
     rate = PRESETS[preset].rate_hz
     if "recordingMeta" in files:
-        rate = float(_rows(files["recordingMeta"])[0].get("frameRate", rate))
+        said = _meta(files["recordingMeta"], (), _OF_RECORDING)
+        rate = said.get("frameRate", np.array([rate]))[0]
     table["time_s"] = table["frame"] / rate
     if "class" in table:
         return
     if "tracksMeta" not in files:
         raise MissingFileError(f"{path}: its tracksMeta.csv, which has the classes, is not beside it")
-    tracks = _rows(files["tracksMeta"])
-    key = "id" if "id" in tracks[0] else "trackId"
-    of = {str(int(float(row[key]))): row for row in tracks}
-    rows = [of.get(str(int(float(one)))) for one in table["vehicle_id"].tolist()]
-    if None in rows:
-        stranger = table["vehicle_id"][rows.index(None)]
+    tracks = _meta(files["tracksMeta"], ("class",), _OF_TRACKS)
+    key = "id" if "id" in tracks else "trackId"
+    rows = {number: row for row, number in enumerate(tracks[key].tolist())}
+    at = np.array([rows.get(float(one), -1) for one in table["vehicle_id"].tolist()])
+    if (at < 0).any():
+        stranger = table["vehicle_id"][at.argmin()]
         raise InputError(f"{files['tracksMeta']}: has no vehicle {stranger}, which {path} has")
-    table["class"] = np.array([row["class"] for row in rows], dtype=object)
-    if "drivingDirection" in tracks[0]:
-        table["heading_deg"] = np.array([_HIGHD_WAYS.get(row["drivingDirection"], 0.0) for row in rows])
+    table["class"] = tracks["class"][at]
+    if "drivingDirection" in tracks:
+        table["heading_deg"] = np.array([_HIGHD_WAYS.get(int(way), 0.0) for way in tracks["drivingDirection"]])[at]
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
-    with open_bytes(path) as stream, io.TextIOWrapper(stream, encoding="utf-8-sig", newline="") as text:
-        rows = list(csv.DictReader(text))
-    if not rows:
+def _meta(path: Path, texts: tuple[str, ...], columns: Mapping[str, Column]) -> dict[str, np.ndarray]:
+    """The columns of a meta file that there are."""
+    rows = read_whole(path, laid_out(path, texts, columns), columns, texts)
+    if not len(rows):
         raise InputError(f"{path}: no rows below the header")
-    return rows
+    return rows.columns

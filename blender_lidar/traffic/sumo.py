@@ -8,29 +8,17 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError, MissingExtraError
-from .header import TableLayout, delimiter_of, fields_of
-from .source import (
-    MAX_ROWS,
-    Column,
-    Rows,
-    codes,
-    first_lines,
-    open_bytes,
-    read_rows,
-    short,
-    vehicle_ids,
-    vehicle_numbers,
-)
+from ..csv_tables import MAX_ROWS, Column, Rows, TableLayout, delimiter_of, fields_of, first_lines, read_rows, short
+from ..errors import InputError
 from .sumo_types import assumed_sides, is_config, person_type, read_types, start_tags, types_of
-from .tracks import drop_repeats
+from .tracks import drop_repeats, vehicle_ids, vehicle_numbers
 from .vehicles import CLASSES, Placing, Recording, RepairReport, ground_sample
 
 _LANE = re.compile(".*_([0-9]{1,5})", re.DOTALL)
@@ -68,7 +56,7 @@ def read_sumo(
     MissingFileError, InputError
         If a file or one of its values cannot be used; the text names the line.
     MissingExtraError
-        For Parquet without pyarrow.
+        For Parquet without pandas and pyarrow.
     """
     if is_config(path):
         raise InputError(
@@ -143,21 +131,18 @@ def _not_used(ground: np.ndarray) -> list[str]:
 
 
 def kind_of_fcd(path: str | Path) -> str | None:
-    """What a file looks like: ``"parquet"``, any ``"xml"``, or ``"csv"`` with SUMO's column names; None if neither.
+    """What a file looks like: any ``"xml"``, or a ``"table"`` with SUMO's names of columns; None if neither.
 
     Raises
     ------
     MissingFileError, InputError
         If it cannot be opened, is empty or neither text nor Parquet.
     """
-    with open_bytes(path, unpack=False) as stream:
-        if stream.read(4) == b"PAR1":
-            return "parquet"
     line = first_lines(path)[0][1]
     if line.lstrip().startswith("<"):
         return "xml"
     names = {name.lower() for name in fields_of(line, delimiter_of(line, ()))}
-    return "csv" if "timestep_time" in names or names >= {"time", "id", "x", "y"} else None
+    return "table" if "timestep_time" in names or names >= {"time", "id", "x", "y"} else None
 
 
 def _lane_number(lane: str) -> int:
@@ -195,7 +180,7 @@ def _collected(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, list[
     parts: list[dict[str, np.ndarray]] = []
     rows_read = 0
     latest_ms = -(10**15)
-    for rows in {"parquet": _parquet_rows, "xml": _xml_rows}.get(kind_of_fcd(path), _csv_rows)(path):
+    for rows in (_xml_rows if kind_of_fcd(path) == "xml" else _table_rows)(path):
         used = rows.columns["tag"] != ""
         rows_read += int(used.sum())
         if rows_read > MAX_ROWS:
@@ -242,7 +227,8 @@ def _coded(rows: Rows, known: dict[str, dict[str, int]]) -> dict[str, np.ndarray
         part[name] = np.empty(len(rows), dtype=np.int64)
         for which, own in ((~person, name), (person, _OF_PERSONS.get(name, name))):
             if which.any():
-                found = (vehicle_ids if name == "id" else codes)(rows.select(which), name, known[own])
+                some, index = rows.select(which), known[own]
+                found = vehicle_ids(some, name, index) if name == "id" else some.codes(name, index)
                 part[name][which] = found if own == name else -1 - found
     return part
 
@@ -314,64 +300,18 @@ def _xml_rows(path: str | Path) -> Iterator[Rows]:
 # ``--output.column-header`` makes them ``x`` or ``timestep_vehicle_x``. SUMO's tool ``xml2csv.py`` gives each kind of
 # element columns of its own.
 
-_PARQUET_ROWS = 50_000
 _OWN = {f"{kind}_{name}": FCD_COLUMNS[name] for kind in _KINDS[1:] for name in ("x", "y", "angle", "z")}
 _MARKS = ("tag", *(f"{kind}_{name}" for kind in _KINDS[1:] for name in ("id", "type")))  # that tell what a row is
 _OPTIONAL = ("type", "lane", "z", *_MARKS, *_OWN)
 
 
-def _csv_rows(path: str | Path) -> Iterator[Rows]:
-    """The rows of a file that ``sumo --fcd-output run.fcd.csv`` or the tool ``xml2csv.py`` wrote."""
+def _table_rows(path: str | Path) -> Iterator[Rows]:
+    """The rows of a file that ``sumo --fcd-output`` wrote as CSV or Parquet, or the tool ``xml2csv.py``."""
     line, text = first_lines(path)[0]
     delimiter = delimiter_of(text, ())
     layout = TableLayout(_attributes(fields_of(text, delimiter)), delimiter, line + 1)
-    layout.check(FCD_NEEDED, _OPTIONAL, f"{path}:{line}")
+    layout.check(FCD_NEEDED, _OPTIONAL, path)
     yield from map(_with_tags, read_rows(path, layout, FCD_COLUMNS | _OWN, (*_TEXTS, *_MARKS)))
-
-
-def _parquet_rows(path: str | Path) -> Iterator[Rows]:
-    """The rows of a file that ``sumo --fcd-output run.fcd.parquet`` wrote, by pyarrow."""
-
-    def chosen(names: list[str]) -> dict[str, str]:
-        layout = TableLayout(_attributes(names), None, 1)
-        return {name: names[layout.columns.index(name)] for name in layout.check(FCD_NEEDED, _OPTIONAL, str(path))}
-
-    first = 1
-    for columns in parquet_batches(path, chosen):
-        count = len(next(iter(columns.values())))
-        yield _with_tags(Rows(columns, range(first, first + count), f"{path}: row "))
-        first += count
-
-
-def parquet_batches(
-    path: str | Path, chosen: Callable[[list[str]], Mapping[str, str]]
-) -> Iterator[dict[str, np.ndarray]]:
-    """The columns of a Parquet file, batch by batch, by the names that `chosen` gives to those of its own.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read.
-    MissingExtraError
-        Without pyarrow.
-    """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        reason = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
-        raise MissingExtraError(
-            f'{path}: Parquet files need pyarrow: pip install "blender_lidar[parquet]"{reason}'
-        ) from error
-    try:
-        with pyarrow.parquet.ParquetFile(path) as file:
-            used = chosen(file.schema_arrow.names)
-            for batch in file.iter_batches(batch_size=_PARQUET_ROWS, columns=[*used.values()]):
-                yield {name: batch.column(held).to_numpy(zero_copy_only=False) for name, held in used.items()}
-    except InputError:  # a ValueError too
-        raise
-    except (pyarrow.ArrowException, OSError, ValueError, LookupError) as error:  # some of them of places beyond the end
-        raise InputError(f"{path}: truncated or damaged Parquet file ({error})") from error
 
 
 def _attributes(header: Sequence[str]) -> list[str]:

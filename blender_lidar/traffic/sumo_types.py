@@ -11,8 +11,9 @@ from xml.parsers import expat
 
 import numpy as np
 
+from ..csv_tables import Column, Rows, listed, short
 from ..errors import InputError, unknown_name
-from .source import Column, Rows, listed, open_bytes, short
+from ..files import open_bytes
 from .vehicles import DIMENSIONS, HEIGHTS_M, VAN_LONGER_THAN_M
 
 _BLOCK_BYTES = 2**18

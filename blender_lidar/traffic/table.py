@@ -19,26 +19,43 @@ One row per vehicle and frame under a header; columns in any order, further ones
 Frame or time, and class or size, must be there. A bicycle or pedestrian without length or width has its class's; what
 is on no road, such as a container, is left out and counted.
 
-``vehicles.csv`` of a run is such a table. It may be packed with gzip, and begin with lines that start with ``#``.
-Spreadsheets may have written it: with semicolons, tabs and decimal commas, as UTF-8, UTF-16 or Windows-1252.
+``vehicles.csv`` of a run is such a table, and so is what ``init`` writes of a recording that only pandas reads. It
+may be packed with gzip, and begin with lines that start with ``#``. Spreadsheets may have written it: with semicolons,
+tabs and decimal commas, as UTF-8, UTF-16 or Windows-1252.
 """
 
 from __future__ import annotations
 
-import difflib
-import re
-from collections.abc import Iterable, Mapping, Sequence
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from ..csv_tables import (
+    Column,
+    Rows,
+    TableLayout,
+    first_lines,
+    header_names,
+    nearest_names,
+    quoted,
+    read_whole,
+)
 from ..errors import InputError, unknown_name
-from ..files import number
-from .header import TableLayout, header_names, known_names, laid_out
-from .source import Column, Rows, first_lines, quoted, read_rows, vehicle_ids, vehicle_numbers
-from .sumo import frames_of, kind_of_fcd, parquet_batches
+from ..files import number, open_bytes, write_columns
+from .sumo import frames_of
 from .sumo_types import DEFAULT_TYPES, class_in_name
-from .tracks import SLOWEST_M_S, drop_repeats, fitted_velocity, heights, held_heading
+from .tracks import (
+    SLOWEST_M_S,
+    drop_repeats,
+    fitted_velocity,
+    heights,
+    held_heading,
+    vehicle_ids,
+    vehicle_numbers,
+)
 from .vehicles import CLASSES, DIMENSIONS, PEDESTRIAN, Placing, Recording, RepairReport, ground_sample
 
 _LENGTHS = ("length_m", "width_m", "height_m")
@@ -77,6 +94,7 @@ _WORDS = {
 _TIME_STEP_LIMITS_S = (1e-3, 1e6)
 _SAME_TIME_S = 1e-6
 _ASSUMED_TIME_STEP_S = 0.1
+_LONGEST_REPORT = 2**17
 
 
 def read_table(
@@ -147,6 +165,18 @@ def read_table(
         raise InputError(f"{path}: has no heading_deg, and one frame shows no motion to take it from")
     if held is not None:
         assumed.append("Headings: those of motion, as the table has none")
+    report = RepairReport(
+        rows_read,
+        len(kept),
+        duplicates=duplicates,
+        repeated=repeated,
+        left_out=left_out,
+        headings_held=0 if held is None else int(held.sum()),
+        notes=tuple(notes),
+        assumed=(*of_time, *assumed),
+        assumed_sizes=assumed_sizes,
+        ground=ground_sample(plane, columns.get("z_m", columns["height_m"] / 2) - columns["height_m"] / 2),
+    )
     return Recording.from_rows(
         frame=columns["frame"],
         time_s=time_s,
@@ -158,19 +188,48 @@ def read_table(
         lane=columns.get("lane", np.zeros(len(kept))),
         time_step_s=step_s,
         source=str(path),
-        report=RepairReport(
-            rows_read,
-            len(kept),
-            duplicates=duplicates,
-            repeated=repeated,
-            left_out=left_out,
-            headings_held=0 if held is None else int(held.sum()),
-            notes=tuple(notes),
-            assumed=(*of_time, *assumed),
-            assumed_sizes=assumed_sizes,
-            ground=ground_sample(plane, columns.get("z_m", columns["height_m"] / 2) - columns["height_m"] / 2),
-        ),
+        report=replace(report, **_told(path)) if table is path else report,
     )
+
+
+_REPORT = "# read before: "
+_TOLD = ("rows_read", "duplicates", "repeated", "off_map", "left_out", "types_unknown", "sizes_repaired")
+_TOLD += ("headings_held", "headings_clamped", "notes", "assumed", "assumed_sizes")
+
+
+def write_table(path: str | Path, recording: Recording) -> None:
+    """Write a recording as a table of boxes: reading it gives the same boxes, and the same report of what was assumed.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    columns = {
+        "frame": recording.frame,
+        "time_s": recording.frame_time_s[np.searchsorted(recording.frames, recording.frame)],
+        "vehicle_id": recording.vehicle_id,
+        "class": np.array(CLASSES)[recording.class_index],
+        **dict(zip(("x_m", "y_m", "z_m"), recording.centre_m.T, strict=True)),
+        **dict(zip(_LENGTHS, recording.size_m.T, strict=True)),
+        "heading_deg": np.degrees(recording.heading_rad),
+        "lane": recording.lane,
+    }
+    told = {name: getattr(recording.report, name) for name in _TOLD}
+    write_columns(path, columns, head=f"{_REPORT}{json.dumps(told)}\n")
+
+
+def _told(path: str | Path) -> dict[str, object]:
+    """What the first line of a table says of the recording that it was made of."""
+    with open_bytes(path) as stream:
+        line = stream.readline(_LONGEST_REPORT)
+    if not line.startswith(_REPORT.encode()):
+        return {}
+    try:
+        told = json.loads(line[len(_REPORT) :])
+        return {name: tuple(map(str, told[name])) if name in _TOLD[-3:] else int(told[name]) for name in _TOLD}
+    except (ValueError, TypeError, LookupError) as error:
+        raise InputError(f"{path}:1: is damaged; leave the line out ({error})") from error
 
 
 def _size_by_class(columns: dict[str, np.ndarray]) -> np.ndarray | None:
@@ -203,13 +262,7 @@ def _headings(
 def likeness(header: str) -> int:
     """How many columns of a table a header has, or has something like."""
     names = header_names(header, (*BOX_NEEDED, *OPTIONAL))[0]
-    return len(_nearest_names(BOX_NEEDED, names)) + ("time_s" in names)
-
-
-def parquet_names(names: Sequence[str]) -> dict[str, str]:
-    """Of the columns of a Parquet file those of a table of boxes, by our names."""
-    found = dict(zip(known_names(names, (*BOX_NEEDED, *OPTIONAL)), names, strict=True))
-    return {name: found[name] for name in (*BOX_NEEDED, *OPTIONAL) if name in found}
+    return len(nearest_names(BOX_NEEDED, names, _WORDS)) + ("time_s" in names)
 
 
 def _needed(present: Sequence[str]) -> list[str]:
@@ -217,37 +270,19 @@ def _needed(present: Sequence[str]) -> list[str]:
     needed = {"vehicle_id", "x_m", "y_m", *([] if "time_s" in present else ["frame"])}
     needed |= set() if {"length_m", "width_m"} <= {*present} else {"class"}
     missing = [name for name in BOX_NEEDED if name not in present]
-    near = _nearest_names(missing, [name for name in present if name not in (*BOX_NEEDED, *OPTIONAL)])
+    near = nearest_names(missing, [name for name in present if name not in (*BOX_NEEDED, *OPTIONAL)], _WORDS)
     return [name for name in BOX_NEEDED if name in needed or name in near]
 
 
-def _nearest_names(wanted: Iterable[str], present: Iterable[str]) -> dict[str, str]:
-    """Which of the `present` names of columns may be meant by those that are `wanted`, each for one at most.
-
-    One is if it has one of the `_WORDS` for a name in it, or is spelt much alike.
-    """
-    left, found = [name for name in present if name], {}
-    for name in wanted:
-        of_words = (one for one in left if _WORDS.get(name, set()) & set(re.split(r"[\W_]+", one.lower())))
-        near = next(of_words, None) or next(iter(difflib.get_close_matches(name, left, 1, 0.75)), None)
-        if near is not None:
-            found[name] = near
-            left.remove(near)
-    return found
-
-
-def _chunks(table: str | Path | Mapping) -> Iterable[Rows]:
-    """The rows of a file, chunk by chunk, or of a table in memory, after its columns were checked."""
-    if isinstance(table, str | Path) and kind_of_fcd(table) == "parquet":
-        parts = list(parquet_batches(table, parquet_names))
-        table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
+def _rows(table: str | Path | Mapping) -> Rows:
+    """The rows of a file or of a table in memory, its columns checked; classes and ids are texts."""
     if isinstance(table, str | Path):
-        layout = laid_out(table, (), (*BOX_NEEDED, *OPTIONAL))
-        where = f"{table}:{layout.first_line - 1}"
-        layout.check(_needed(layout.columns), (*BOX_NEEDED, *OPTIONAL), where, _nearest_names)
-        return read_rows(table, layout, READ_COLUMNS, ["class", "vehicle_id"])
+        line, header = first_lines(table)[0]
+        layout = TableLayout(*header_names(header, (*BOX_NEEDED, *OPTIONAL)), line + 1)
+        layout.check(_needed(layout.columns), (*BOX_NEEDED, *OPTIONAL), table, _WORDS)
+        return read_whole(table, layout, READ_COLUMNS, ["class", "vehicle_id"])
     names = list(map(str, table))
-    TableLayout(names, None, 0).check(_needed(names), (*BOX_NEEDED, *OPTIONAL), "boxes", _nearest_names)
+    TableLayout(names, None, 0).check(_needed(names), (*BOX_NEEDED, *OPTIONAL), "boxes", _WORDS)
     columns = {name: np.asarray(table[name]) for name in (*BOX_NEEDED, *OPTIONAL) if name in table}
     if len({column.shape for column in columns.values()}) > 1 or columns["x_m"].ndim != 1:
         shapes = ", ".join(f"{name} {column.shape}" for name, column in columns.items())
@@ -255,41 +290,36 @@ def _chunks(table: str | Path | Mapping) -> Iterable[Rows]:
     for name, column in columns.items():
         if name == "vehicle_id" or column.dtype.kind not in "iuf":
             columns[name] = np.array([str(value) for value in column.tolist()], dtype=object)
-    rows = Rows(columns, range(1, 1 + len(columns["x_m"])), "boxes: row ")
-    return [rows] if len(rows) else []
+    return Rows(columns, range(1, 1 + len(columns["x_m"])), "boxes: row ").checked(READ_COLUMNS)
 
 
 def _columns(table: str | Path | Mapping) -> tuple[dict[str, np.ndarray], int, list[str]]:
     """The columns that are used, by name, classes as indices, the others as numbers; rows left out; notes on ids."""
-    parts, ids, left_out, path = [], {}, 0, table if isinstance(table, str | Path) else "boxes"
-    for rows in _chunks(table):
-        kind = _class_indices(rows)
-        if kind is not None and (kind == _ON_NO_ROAD).any():
-            left_out += int((kind == _ON_NO_ROAD).sum())
-            rows, kind = rows.select(kind != _ON_NO_ROAD), kind[kind != _ON_NO_ROAD]
-        part = {name: rows.numbers(name, READ_COLUMNS[name]) for name in rows.columns if name in READ_COLUMNS}
-        if kind is not None and (kind < 0).any():
+    rows, ids, path = _rows(table), {}, table if isinstance(table, str | Path) else "boxes"
+    kind, rows_read = _class_indices(rows), len(rows)
+    if kind is not None:
+        rows, kind = rows.select(kind != _ON_NO_ROAD), kind[kind != _ON_NO_ROAD]
+        if (kind < 0).any():
             row = int(kind.argmin())
             raise unknown_name(rows.columns["class"][row], CLASSES, "class", rows.where(row))
-        _check_sizes(rows, part, kind)
-        part |= {"vehicle_id": vehicle_ids(rows, "vehicle_id", ids)} | ({} if kind is None else {"class": kind})
-        parts.append(part)
-    if not any(len(part["x_m"]) for part in parts):
+    if not len(rows):
         below = "" if table is not path else f" below the header in line {first_lines(path)[0][0]}"
-        raise InputError(f"{path}: no vehicle in {left_out:,} rows" if left_out else f"{path}: no rows{below}")
+        raise InputError(f"{path}: no vehicle in {rows_read:,} rows" if rows_read else f"{path}: no rows{below}")
+    _check_sizes(rows, kind)
+    vehicle = vehicle_ids(rows, "vehicle_id", ids)
     for name in ids:
         if not np.isnan(number(name)) and not (number(name) >= 0 and number(name) % 1 == 0):  # -1: no vehicle
             raise InputError(f"{path}: vehicle_id is {quoted(name)}; allowed: a whole number of at least 0, or a text")
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    vehicle, notes = vehicle_numbers(list(ids))
-    return columns | {"vehicle_id": vehicle[columns["vehicle_id"]]}, left_out, notes
+    numbers, notes = vehicle_numbers(list(ids))
+    columns = {**rows.columns, "vehicle_id": numbers[vehicle]} | ({} if kind is None else {"class": kind})
+    return columns, rows_read - len(rows), notes
 
 
-def _check_sizes(rows: Rows, part: dict[str, np.ndarray], kind: np.ndarray | None) -> None:
+def _check_sizes(rows: Rows, kind: np.ndarray | None) -> None:
     """Refuse a size that is none; bicycles and pedestrians may have none at all."""
     may_lack = np.zeros(len(rows), dtype=bool) if kind is None else np.isin(kind, _MAY_LACK_SIZE)
     for name in _LENGTHS:
-        sizes = part.get(name, np.ones(len(rows)))
+        sizes = rows.columns.get(name, np.ones(len(rows)))
         wrong = np.flatnonzero(~(sizes >= _SIDE.low) & ~(may_lack & ~(sizes > 0.0)))
         if len(wrong):
             seen = "nothing" if np.isnan(sizes[wrong[0]]) else f"{sizes[wrong[0]]:.15g}"

@@ -1,11 +1,14 @@
-"""What NGSIM lacks or records badly: headings (Savitzky-Golay), repeated rows, vehicle sizes and heights."""
+"""What recordings lack or say badly: headings (Savitzky-Golay), ids, repeated rows, vehicle sizes and heights."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from ..csv_tables import EMPTY, Rows, listed
+from ..errors import InputError
 from .vehicles import CLASSES, FLEET_KINDS, HEIGHTS_M, VAN_LONGER_THAN_M, fleet_kind
 
 # --- Which way vehicles point, from where they have been: NGSIM records no heading ------------------------
@@ -157,7 +160,37 @@ def limited(heading_rad: np.ndarray, changing: np.ndarray) -> np.ndarray:
     return np.clip(heading_rad, -limit, limit)
 
 
-# --- Rows of one recording put in order, without repeats ---------------------------------------------------
+# --- Rows of one recording: vehicles by number, in order, without repeats ----------------------------------
+
+NUMBERED = "vehicles are numbered from 0 by first appearance"
+_GARBLED = "\ufffd"  # in place of what is not in the encoding of the rest
+_WHOLE = re.compile(r"(?:0|[1-9][0-9]{0,14})(?:\.0*)?")  # below 2**53; with a point, as spreadsheets write them
+
+
+def vehicle_ids(rows: Rows, name: str, index: dict[str, int]) -> np.ndarray:
+    """`Rows.codes` of a column of vehicles' ids.
+
+    Raises
+    ------
+    InputError
+        For the first row without one, or where the file's encoding garbles it.
+    """
+    found = rows.codes(name, index)
+    for text in (*EMPTY, *(text for text in index if _GARBLED in text or text.strip().lower() in ("", "nan"))):
+        if text in index and (row := np.flatnonzero(found == index[text])).size:
+            encoding = "is in another encoding than the file's beginning; save it as UTF-8"
+            raise InputError(f"{rows.where(row[0])}: {name} {encoding if _GARBLED in text else 'is missing'}")
+    return found
+
+
+def vehicle_numbers(names: Sequence[str]) -> tuple[np.ndarray, list[str]]:
+    """The number of each vehicle, (n,) int64, by what the file calls them: their own where all are whole, from 0 on.
+
+    Else they count from 0 by first appearance, and a note says so.
+    """
+    if all(_WHOLE.fullmatch(name.strip()) for name in names):
+        return np.array([float(name) for name in names]).astype(np.int64), []
+    return np.arange(len(names)), [f"{NUMBERED}: {listed(names)}"]
 
 
 def drop_repeats(vehicle_id: np.ndarray, frame: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, int, int]:
