@@ -600,15 +600,16 @@ def _csv_by_pandas(path: str | Path, layout: TableLayout, texts: Sequence[int], 
     """A foreign table of text as a DataFrame, its columns numbered from 0, its rows by their lines."""
     width, pandas, encoding = len(layout.columns), _pandas(path, why), _beginning(path)[1]
     how = {"decimal": "," if why == "decimal commas" else ".", "float_precision": "round_trip", "low_memory": False}
-    how |= {"keep_default_na": False, "na_values": list(EMPTY), "dtype": dict.fromkeys(texts, str)}
-    how |= {"skip_blank_lines": False, "skipinitialspace": True, "header": None, "names": range(width + _BEHIND)}
-    how["skiprows"] = layout.first_line - 1
+    how |= {"keep_default_na": False, "na_values": list(EMPTY), "dtype": {str(place): str for place in texts}}
+    how |= {"skip_blank_lines": False, "skipinitialspace": True, "sep": layout.delimiter or r"\s+"}
+    header = (layout.delimiter or " ").join(map(str, range(width + _BEHIND)))
     with open_bytes(path) as stream, io.TextIOWrapper(stream, encoding, errors="replace", newline="") as text:
         try:
-            frame = pandas.read_csv(text, sep=layout.delimiter or r"\s+", index_col=False, **how)
+            below = io.StringIO("".join([header, "\n", *islice(text, layout.first_line - 1, None)]), newline="")
+            frame = pandas.read_csv(below, index_col=False, **how)
         except (ValueError, UnicodeError) as error:
             raise InputError(f"{path}: {str(error).partition(chr(10))[0]}") from error
-    frame.index = range(layout.first_line, layout.first_line + len(frame))
+    frame.columns, frame.index = range(frame.shape[1]), range(layout.first_line, layout.first_line + len(frame))
     frame = frame[frame.notna().any(axis=1)]
     beyond = frame.index[frame.iloc[:, width:].notna().any(axis=1)]
     if len(beyond):
