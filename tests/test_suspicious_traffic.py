@@ -277,7 +277,7 @@ NOTES = {  # by name: the rows, the scene, and what is said
     "heading_deg 3 degrees off": (
         road_at(33),
         {"traffic": {"heading_deg": 30.0}},
-        "at 3 degrees to the road's x axis, 2.1 m across it in 40 m; check [traffic] heading_deg (such as 33)",
+        "at 3 degrees to the road's x axis, 2.1 m across it in 40 m: check [traffic] heading_deg (such as 33)",
     ),
     "a trailer as a box of its own": (
         [*traffic_rows(), *with_trailer()],

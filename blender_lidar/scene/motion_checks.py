@@ -1,11 +1,10 @@
-"""Checks of motion: wrong time steps, ids and headings, seen from how vehicles move."""
+"""How vehicles move: what `plausibility.CHECKS` asks of time steps, ids, headings and tracks."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,7 +13,9 @@ from ..traffic.tracks import central_velocity, held_heading
 from ..traffic.vehicles import Placing, Recording
 from . import usual
 from .region import Region
-from .scenario import Scenario
+
+if TYPE_CHECKING:
+    from .plausibility import Found, Seen
 
 # --- How vehicles move --------------------------------------------------------------------------------------------
 
@@ -99,47 +100,39 @@ class Tracks:
         return Moves(*(column[kept[:: -(-len(kept) // usual.SAMPLE) or 1]] for column in found))
 
 
-# --- The checks: what each has seen, and what is probably meant; nothing where all may be true --------------------
+# --- What each check measures; None where all may be true ---------------------------------------------------------
 
 
-def time_step(tracks: Tracks) -> str | None:
+def speeds(seen: Seen, limit: tuple[float, float, float]) -> Found:
     """Speeds that no traffic has: a wrong time step or unit, or new vehicle numbers in each frame."""
-    ways = tracks.ways
+    (fastest_median, crawl_m_s, crawl_s), ways = limit, seen.tracks.ways
     if len(ways.seconds) < usual.FEWEST:
         return None
     median, fast = np.quantile(ways.distance_m / ways.seconds, [0.5, 0.9])
-    crawls = fast < usual.CRAWL_M_S and np.ptp(tracks.time_s) > usual.CRAWL_S
-    if not crawls and median <= usual.FASTEST_MEDIAN_M_S:
+    crawls = fast < crawl_m_s and np.ptp(seen.tracks.time_s) > crawl_s
+    if not crawls and median <= fastest_median:
         return None
-    return (
-        f"moving vehicles drive {median:.3g} m/s (usual: 2 to 40) with frames {tracks.step_s:.3g} s apart; probably "
-        "time_s is not in seconds, [traffic] time_step_s is another, places are not in metres, or "
-        + ("a jam crawls" if crawls else "vehicles have new numbers in each frame")
-    )
+    cause = "a jam crawls" if crawls else "vehicles have new numbers in each frame"
+    return {"median": median, "step_s": seen.tracks.step_s, "cause": cause}
 
 
-def jumps(recording: Recording, tracks: Tracks) -> str | None:
-    """Vehicles that are in two places at once or jump, each by itself or all together."""
-    report, steps = recording.report, tracks.steps
-    if report.repeated > max(usual.SOME * report.rows_read, usual.FEWEST):
-        return (
-            f"{report.repeated:,} of {report.rows_read:,} rows are of a vehicle that is elsewhere in the same frame "
-            "(usual: none); probably several vehicles share a vehicle_id"
-        )
-    if together := _together(tracks):
-        return together
+def in_two_places(seen: Seen, some: float) -> Found:
+    """Vehicles that are in two places at once."""
+    repeated, rows_read = seen.report.repeated, seen.report.rows_read
+    return {"repeated": repeated, "rows_read": rows_read} if repeated > max(some * rows_read, usual.FEWEST) else None
+
+
+def jumps(seen: Seen, limit: tuple[float, float]) -> Found:
+    """Vehicles that jump, each by itself."""
+    (fastest_m_s, again_s), tracks, steps = limit, seen.tracks, seen.tracks.steps
     far = steps.distance_m > usual.JUMP_M
-    jump = far & (steps.distance_m > usual.FASTEST_M_S * steps.seconds)
+    jump = far & (steps.distance_m > fastest_m_s * steps.seconds)
     back = far[1:] & far[:-1] & ((steps.moved_m[1:] * steps.moved_m[:-1]).sum(axis=1) < 0.0)
-    jump[1:] |= back & _next(tracks) & (np.maximum(steps.seconds[1:], steps.seconds[:-1]) <= usual.AGAIN_S)
+    jump[1:] |= back & _next(tracks) & (np.maximum(steps.seconds[1:], steps.seconds[:-1]) <= again_s)
     jumping = len(np.unique(tracks.vehicle[steps.row[jump]]))
     if jumping <= max(usual.SOME * tracks.vehicles, usual.FEWEST_TOGETHER):
         return None
-    return (
-        f"{jumping:,} of {tracks.vehicles:,} vehicles jump by {usual.JUMP_M:g} m or more, faster than any vehicle "
-        "drives or there and back (usual: none); probably several vehicles share a vehicle_id, or frames are out of "
-        "order"
-    )
+    return {"jumping": jumping, "vehicles": tracks.vehicles, "metres": usual.JUMP_M}
 
 
 def _next(tracks: Tracks) -> np.ndarray:
@@ -147,30 +140,26 @@ def _next(tracks: Tracks) -> np.ndarray:
     return np.diff(tracks.vehicle[tracks.steps.row]) == 0
 
 
-def _together(tracks: Tracks) -> str | None:
+def jump_together(seen: Seen, limit: tuple[float, float, float]) -> Found:
     """A step in which all vehicles jump alike, as where a camera or an origin has moved."""
-    steps = tracks.steps
-    now = 1 + np.flatnonzero(_next(tracks) & (np.maximum(steps.seconds[1:], steps.seconds[:-1]) <= usual.TOGETHER_S))
+    (aside_m, ahead_m, together_s), tracks, steps = limit, seen.tracks, seen.tracks.steps
+    now = 1 + np.flatnonzero(_next(tracks) & (np.maximum(steps.seconds[1:], steps.seconds[:-1]) <= together_s))
     if not len(now):
         return None
     cos, sin = np.cos(steps.heading_rad), np.sin(steps.heading_rad)
     ahead = steps.moved_m[:, 0] * cos + steps.moved_m[:, 1] * sin
     aside = (steps.moved_m[:, 1] * cos - steps.moved_m[:, 0] * sin)[now]
     faster = ahead[now] - ahead[now - 1] / steps.seconds[now - 1] * steps.seconds[now]
-    faster[steps.seconds[now] > 0.5 * usual.TOGETHER_S] = 0.0
+    faster[steps.seconds[now] > 0.5 * together_s] = 0.0
     frames, of = np.unique(tracks.frame[steps.row[now]], return_inverse=True)
     middle = [_medians_of(values, of.reshape(-1)) for values in (aside, faster)]
     enough = np.bincount(of.reshape(-1)) >= usual.FEWEST_TOGETHER
-    far = np.flatnonzero(enough & ((np.abs(middle[0]) > usual.ASIDE_M) | (np.abs(middle[1]) > usual.AHEAD_M)))
+    far = np.flatnonzero(enough & ((np.abs(middle[0]) > aside_m) | (np.abs(middle[1]) > ahead_m)))
     if not len(far) or len(far) > max(usual.SOME * enough.sum(), 2):
         return None
     at = far[0]
     later = tracks.frame[steps.later[now]][of.reshape(-1) == at].min()
-    return (
-        f"all vehicles jump together by {math.hypot(middle[0][at], middle[1][at]):.1f} m from frame {frames[at]} to "
-        f"{later}; probably the camera or the file's origin has moved (make two recordings, each with its origin_m), "
-        "or places are rounded coarsely"
-    )
+    return {"metres": math.hypot(middle[0][at], middle[1][at]), "first": frames[at], "later": later}
 
 
 def _medians_of(values: np.ndarray, of: np.ndarray) -> np.ndarray:
@@ -179,15 +168,15 @@ def _medians_of(values: np.ndarray, of: np.ndarray) -> np.ndarray:
     return values[np.lexsort((values, of))][np.cumsum(count) - count + count // 2]
 
 
-def headings(tracks: Tracks, scenario: Scenario) -> str | None:
+def headings(seen: Seen, limit: tuple[float, float]) -> Found:
     """Headings off the motion: radians, a compass's bearings, mirrored, reversed, or of another axis."""
-    ways = tracks.ways
+    (many, off_rad), tracks, ways = limit, seen.tracks, seen.tracks.ways
     if len(ways.seconds) < usual.FEWEST:
         return None
     share, off = ways.share_astray(ways.heading_rad), _off_rad(tracks, ways.heading_rad)
-    if share <= usual.MANY and off <= usual.OFF_RAD:
-        return _standing_astray(tracks)
-    placing = Placing(heading_deg=scenario.traffic.heading_deg or 0.0)
+    if share <= many and off <= off_rad:
+        return None
+    placing = Placing(heading_deg=seen.scenario.traffic.heading_deg or 0.0)
     in_file = wrap_angle(ways.heading_rad + math.radians(placing.heading_deg))
     meant = {
         "reversed, by half a turn": in_file + math.pi,
@@ -204,13 +193,13 @@ def headings(tracks: Tracks, scenario: Scenario) -> str | None:
     )
     for name, heading in meant.items():
         right = placing.headings(heading)
-        if ways.share_astray(right) < 1.0 - usual.MOST and _off_rad(tracks, right) <= usual.OFF_RAD:
+        if ways.share_astray(right) < 1.0 - usual.MOST and _off_rad(tracks, right) <= off_rad:
             probably = name
             break
-    return (
-        f"headings of moving vehicles are {math.degrees(off):.0f} degrees off their motion (usual: under 2), "
-        f"{100 * share:.0f} % of them more than 30 (usual: none); probably {probably}"
-    )
+    return {"degrees": math.degrees(off), "share": 100 * share, "probably": probably}
+
+
+_PLACE_M = 20.0  # within it no street bends by much
 
 
 def _off_rad(tracks: Tracks, heading_rad: np.ndarray) -> float:
@@ -220,7 +209,7 @@ def _off_rad(tracks: Tracks, heading_rad: np.ndarray) -> float:
     """
     ways = tracks.ways
     astray = np.exp(1j * ways.astray(heading_rad))
-    cell = np.floor(tracks.xy[ways.row] / usual.PLACE_M)
+    cell = np.floor(tracks.xy[ways.row] / _PLACE_M)
     eighth = np.rint(heading_rad / (0.25 * math.pi)) % 8
     place = np.unique(np.column_stack([cell, eighth]), axis=0, return_inverse=True)[1].reshape(-1)
     if np.bincount(place).max() < usual.FEWEST:
@@ -233,28 +222,82 @@ def _off_rad(tracks: Tracks, heading_rad: np.ndarray) -> float:
     return math.sqrt(max(0.0, square))
 
 
-def _standing_astray(tracks: Tracks) -> str | None:
+def standing_headings(seen: Seen, stands_m_s: float) -> Found:
     """Headings of vehicles that stand, off those with which they came or leave: made of noise, or of nothing."""
+    tracks = seen.tracks
     velocity = central_velocity(tracks.vehicle, tracks.time_s, tracks.xy)
     known, _ = held_heading(tracks.vehicle, velocity, np.nan)
-    stands = (np.hypot(*velocity.T) < usual.STANDS_M_S) & ~np.isnan(known)
-    astray = np.abs(wrap_angle(tracks.heading_rad - known)[stands]) > usual.ASTRAY_RAD
-    if stands.sum() < usual.FEWEST or astray.mean() <= usual.MANY or astray.sum() <= usual.FEW * len(stands):
+    stands = (np.hypot(*velocity.T) < stands_m_s) & ~np.isnan(known)
+    if len(tracks.ways.seconds) < usual.FEWEST or stands.sum() < usual.FEWEST:
         return None
-    return (
-        f"{100 * astray.mean():.0f} % of the standing boxes point more than 30 degrees off the way they came or go "
-        "(usual: none; no vehicle turns on the spot); probably headings are computed from the motion, and are noise or "
-        "0 where there is none: keep the last heading"
-    )
+    astray = np.abs(wrap_angle(tracks.heading_rad - known)[stands]) > usual.ASTRAY_RAD
+    if astray.mean() <= usual.MANY or astray.sum() <= usual.FEW * len(stands):
+        return None
+    return {"share": 100 * astray.mean()}
 
 
 # --- What is suspicious and may be right --------------------------------------------------------------------------
 
 
-def coupled(recording: Recording) -> Iterator[str]:
+def _share_followed(tracks: Tracks) -> float:
+    """Share of the vehicles that are in a second frame."""
+    return len(np.unique(tracks.vehicle[tracks.steps.row])) / max(tracks.vehicles, 1)
+
+
+def has_tracks(seen: Seen) -> bool:
+    """Whether there are tracks to look at: two frames, two vehicles, and more of them in a second frame than a few."""
+    enough = len(seen.recording.frames) > 1 and seen.tracks.vehicles > 1
+    return enough and _share_followed(seen.tracks) > usual.SOME
+
+
+def unrelated_frames(seen: Seen, some: float) -> Found:
+    """Frames that have no vehicle in common."""
+    enough = len(seen.recording.frames) > 1 and seen.tracks.vehicles > 1
+    return {} if enough and _share_followed(seen.tracks) <= some else None
+
+
+def standing(seen: Seen, most: float) -> Found:
+    """Vehicles that never move."""
+    first = np.flatnonzero(np.diff(seen.tracks.vehicle, prepend=-1))
+    extent = np.maximum.reduceat(seen.tracks.xy, first) - np.minimum.reduceat(seen.tracks.xy, first)
+    still = (np.hypot(*extent.T) < usual.MOVED_M).mean()
+    return {"seconds": np.ptp(seen.recording.frame_time_s)} if still > most else None
+
+
+def turning(seen: Seen, limit_deg: float) -> Found:
+    """Headings that change from row to row."""
+    degrees = math.degrees(float(np.median(np.abs(seen.tracks.steps.turn_rad))))
+    return {"degrees": degrees} if degrees > limit_deg else None
+
+
+def varying_lengths(seen: Seen, limit: float) -> Found:
+    """Lengths of one vehicle that vary: their standard deviation beside their mean, in the median."""
+    of_row, length = seen.tracks.vehicle, seen.tracks.length_m
+    mean = np.bincount(of_row, length) / np.bincount(of_row)
+    varying = np.median(np.sqrt(np.bincount(of_row, np.square(length - mean[of_row])) / np.bincount(of_row)) / mean)
+    return {"share": 100 * varying} if varying > limit else None
+
+
+def missing_rows(seen: Seen, many: float) -> Found:
+    """Frames between a vehicle's first and last that lack it."""
+    steps, at = seen.tracks.steps, np.searchsorted(seen.recording.frames, seen.tracks.frame)
+    gaps = (at[steps.later] - at[steps.row] - 1).sum()
+    missing = gaps / (gaps + len(at))
+    return {"share": 100 * missing} if missing > many else None
+
+
+def again_from_behind(seen: Seen, some: float) -> Found:
+    """Vehicles that jump back, as where an id is used again."""
+    steps = seen.tracks.steps
+    ahead = steps.moved_m[:, 0] * np.cos(steps.heading_rad) + steps.moved_m[:, 1] * np.sin(steps.heading_rad)
+    again = len(np.unique(seen.tracks.vehicle[steps.row[ahead < -usual.JUMP_M]])) / seen.tracks.vehicles
+    return {"share": 100 * again} if again > some else None
+
+
+def coupled(seen: Seen, limit_m: float) -> Found:
     """Articulated lorries as two boxes: pairs that touch from end to end as they drive."""
-    touching: dict[tuple[int, int], list[tuple[int, np.ndarray]]] = {}
-    looked = recording.frames[:: -(-len(recording.frames) // usual.COUPLED_FRAMES)]
+    recording, touching = seen.recording, {}
+    looked = recording.frames[:: -(-len(recording.frames) // _COUPLED_FRAMES)]
     for at, number in enumerate(looked.tolist()):
         vehicles = recording.vehicles(number)
         ahead = vehicles.centre_m[None, :, :2] - vehicles.centre_m[:, None, :2]
@@ -262,95 +305,28 @@ def coupled(recording: Recording) -> Iterator[str]:
         along, aside = ahead[..., 0] * cos + ahead[..., 1] * sin, ahead[..., 1] * cos - ahead[..., 0] * sin
         half_m = 0.5 * vehicles.size_m[:, 0]
         gap = along - half_m[:, None] - half_m
-        found = (along > 0.0) & (np.abs(gap) <= usual.COUPLED_M) & (np.abs(aside) <= usual.COUPLED_M)
+        found = (along > 0.0) & (np.abs(gap) <= limit_m) & (np.abs(aside) <= limit_m)
         for one, other in np.argwhere(found).tolist():
             pair = int(vehicles.vehicle_id[one]), int(vehicles.vehicle_id[other])
             touching.setdefault(pair, []).append((at, vehicles.centre_m[one, :2]))
     count = 0
-    for seen in touching.values():
-        (first, start), (last, end) = seen[0], seen[-1]
-        always = len(seen) >= max(usual.FEWEST_TOGETHER, usual.MOST * (last - first + 1))
+    for places in touching.values():
+        (first, start), (last, end) = places[0], places[-1]
+        always = len(places) >= max(usual.FEWEST_TOGETHER, usual.MOST * (last - first + 1))
         count += always and math.dist(start, end) >= usual.JUMP_M
-    if count:
-        yield (
-            f"{count:,} {'pair' if count == 1 else 'pairs'} of boxes touch from end to end as they drive: tractors and "
-            "trailers as two boxes each? They count as two vehicles; give one box to each"
-        )
+    return {"pairs": f"{count:,} {'pair' if count == 1 else 'pairs'}"} if count else None
 
 
-def track_notes(recording: Recording, tracks: Tracks) -> Iterator[str]:
-    """What is suspicious of tracks, as sentences."""
-    steps, vehicles, of_row = tracks.steps, tracks.vehicles, tracks.vehicle
-    if len(recording.frames) < 2 or vehicles < 2:
-        return
-    if len(np.unique(of_row[steps.row])) <= usual.SOME * vehicles:
-        yield (
-            "almost no vehicle is in more than one frame: the frames are unrelated, or vehicles have new numbers in "
-            "each frame, and then the check on held-out traffic is not independent"
-        )
-        return
-    first = np.flatnonzero(np.diff(of_row, prepend=-1))
-    extent = np.maximum.reduceat(tracks.xy, first) - np.minimum.reduceat(tracks.xy, first)
-    standing = (np.hypot(*extent.T) < usual.MOVED_M).mean()
-    turning = math.degrees(float(np.median(np.abs(steps.turn_rad))))
-    mean = np.bincount(of_row, tracks.length_m) / np.bincount(of_row)
-    varying = np.sqrt(np.bincount(of_row, np.square(tracks.length_m - mean[of_row])) / np.bincount(of_row)) / mean
-    varying = np.median(varying)
-    at = np.searchsorted(recording.frames, tracks.frame)
-    gaps = (at[steps.later] - at[steps.row] - 1).sum()
-    missing = gaps / (gaps + len(at))
-    ahead = steps.moved_m[:, 0] * np.cos(steps.heading_rad) + steps.moved_m[:, 1] * np.sin(steps.heading_rad)
-    again = len(np.unique(of_row[steps.row[ahead < -usual.JUMP_M]])) / vehicles
-    copied, later_s = _there_again(recording)
-    for measured, limit, sentence in (
-        (
-            copied,
-            usual.MANY,
-            f"{100 * copied:.0f} % of the frames come again to the centimetre {later_s:g} s later, under other "
-            "vehicle numbers: if the recording holds the same minutes twice, held-out frames are copies of searched "
-            "ones",
-        ),
-        (
-            standing,
-            1.0 - usual.SOME,
-            f"almost no vehicle moves in {np.ptp(recording.frame_time_s):.0f} s: a jam, or a car park?",
-        ),
-        (
-            turning,
-            usual.TURN_DEG,
-            f"headings change by {turning:.0f} degrees from row to row (usual: under 1): are they noise?",
-        ),
-        (
-            varying,
-            usual.LENGTH_VARIES,
-            f"lengths of one vehicle vary by {100 * varying:.0f} % (usual: none); give it one size in all frames, or "
-            "each its own vehicle_id",
-        ),
-        (
-            missing,
-            usual.MANY,
-            f"vehicles are missing in {100 * missing:.0f} % of the frames between their first and their last, and hide "
-            "nothing there",
-        ),
-        (
-            again,
-            usual.SOME,
-            f"{100 * again:.0f} % of the vehicles jump back and drive past again: if ids are reused, the later "
-            "vehicles are left out of the check on held-out traffic",
-        ),
-    ):
-        if measured > limit:
-            yield sentence
-
-
+_COUPLED_FRAMES = 100  # that are looked at
 _MIXED = np.array([2_654_435_761, 40_503])  # odd factors, to give each place a number of its own
 
 
-def _there_again(recording: Recording) -> tuple[float, float]:
-    """Share of the frames whose boxes stand where an earlier one's stood, to the centimetre, and how much later [s].
+def copied_minutes(seen: Seen, many: float) -> Found:
+    """Frames whose boxes stand where an earlier one's stood, to the centimetre, and how much later [s].
 
     Vehicles that follow each other at even distances do so too, but some of them are in both frames.
     """
+    recording = seen.recording
     place = (np.rint(100.0 * recording.centre_m[:, :2]).astype(np.int64) * _MIXED).sum(axis=1)
     first = np.append(0, np.cumsum(recording.counts))
     looks = np.add.reduceat(place * place, first[:-1])
@@ -361,23 +337,26 @@ def _there_again(recording: Recording) -> tuple[float, float]:
         ids = (recording.vehicle_id[first[at] : first[at + 1]] for at in (one, other))
         if not np.intersect1d(*ids).size:
             later_s.append(recording.frame_time_s[other] - recording.frame_time_s[one])
-    return len(later_s) / len(looks), float(np.median(later_s)) if later_s else 0.0
+    share = len(later_s) / len(looks)
+    return {"share": 100 * share, "later_s": float(np.median(later_s))} if share > many else None
 
 
+_WINDOWS, _WINDOW_S = 8, (7.5, 15.0)  # in a short recording; their lengths, in which 10 cm/s stay in a lane
+_CROSSING_RAD = math.radians(15.0)  # off x: lane changes are beyond
 _BIN_M, _SMOOTHED_M, _FARTHEST_M = 0.1, 0.3, 1.7  # of densities across the road, and from one to the next
 
 
-def drift(tracks: Tracks, region: Region) -> str | None:
+def drift(tracks: Tracks, region: Region, drifted_m: float, errors: float) -> Found:
     """Lanes that move across the road: cross-correlation of where vehicles drive in one window of time and the next.
 
     A drone's drift of 5 cm/s makes nine lanes of three. A polygon may hold a crossing, and is not looked at.
     """
     inside = np.hypot(*(tracks.xy - region.centre_xy).T) <= region.radius_m
-    rows = np.flatnonzero(inside & (np.abs(np.sin(tracks.heading_rad)) <= math.sin(usual.DRIFT_RAD[1])))
+    rows = np.flatnonzero(inside & (np.abs(np.sin(tracks.heading_rad)) <= math.sin(_CROSSING_RAD)))
     if region.polygon or not len(rows):
         return None
     since, across = tracks.time_s[rows] - tracks.time_s[rows].min(), tracks.xy[rows, 1]
-    window_s = float(np.clip(since.max() / usual.DRIFT_WINDOWS, *usual.DRIFT_WINDOW_S))
+    window_s = float(np.clip(since.max() / _WINDOWS, *_WINDOW_S))
     places = [(since / window_s).astype(int), np.rint((across - across.min()) / _BIN_M).astype(int)]
     # A vehicle counts once in a window and a bin: one that waits is no lane of its own.
     once = np.unique(np.column_stack([*places, tracks.vehicle[rows]]), axis=0)
@@ -390,18 +369,15 @@ def drift(tracks: Tracks, region: Region) -> str | None:
         alike = np.correlate(density[number + 1], density[number], "full")
         middle = len(alike) // 2
         moved.append(_BIN_M * (int(np.argmax(alike[middle - most : middle + most + 1])) - most))
-    if len(moved) < usual.DRIFT_WINDOWS - 2 or abs(sum(moved)) < usual.DRIFTED_M:
+    if len(moved) < _WINDOWS - 2 or abs(sum(moved)) < drifted_m:
         return None
     mean, error = float(np.mean(moved)), float(np.std(moved, ddof=1)) / math.sqrt(len(moved))
-    if abs(mean) < usual.DRIFT_ERRORS * max(error, _BIN_M / len(moved)):
+    if abs(mean) < errors * max(error, _BIN_M / len(moved)):
         return None
-    return (
-        f"all lanes move to the {'left' if mean > 0.0 else 'right'} of x by {100.0 * abs(mean) / window_s:.1f} cm/s: a "
-        "camera that drifts? Take the drift out of x and y"
-    )
+    return {"side": "left" if mean > 0.0 else "right", "cm_s": 100.0 * abs(mean) / window_s}
 
 
-def bend(tracks: Tracks, region: Region) -> str | None:
+def bend(tracks: Tracks, region: Region, sagitta_m: float) -> Found:
     """A road that bends within the region: the sagitta of the vehicles' ways, beside a scene's straight lanes.
 
     A polygon may hold a crossing, where vehicles turn, and is not looked at.
@@ -419,9 +395,4 @@ def bend(tracks: Tracks, region: Region) -> str | None:
     turn *= np.where(chord @ chord[whole][0] < 0.0, -1.0, 1.0)  # what drives the other way turns the other way
     turn, length = float(np.median(turn[whole])), float(np.median(length[whole]))
     aside = length * abs(turn) / 8.0
-    if aside <= usual.SAGITTA_M:
-        return None
-    return (
-        f"the road bends by {abs(math.degrees(turn)):.0f} deg within the region, {aside:.1f} m off a straight line, "
-        "and a scene's lanes are straight; choose a shorter [region]"
-    )
+    return {"degrees": abs(math.degrees(turn)), "aside": aside} if aside > sagitta_m else None

@@ -1,21 +1,32 @@
-"""Checks of places: who drives beside the carriageway, obliquely to it, or in one another."""
+"""Where vehicles are on the road: what `plausibility.CHECKS` asks of places, directions, lanes, overlaps and grades."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import InputError
 from ..names import SIDES
 from ..road.road_map import wrap_angle
-from ..traffic.lanes import FEWEST_ON_A_ROAD, LANE_WIDTHS_M, USUAL_LANE_M, density_peaks
+from ..traffic.lanes import FEWEST_ON_A_ROAD, USUAL_LANE_M, density_peaks
 from ..traffic.vehicles import Recording, frames_looked_at, overlapping_pairs
 from . import usual
 from .region import Region, region_of
 from .scenario import Scenario
+
+if TYPE_CHECKING:
+    from .plausibility import Found, Seen
+
+OVERLAPPING = 0.12  # pairs a box; why there, stands in the list
+GRADE_PERCENT = 1.0  # which moves a beam's end by a car's height at 150 m
+DRIFT_RAD = (math.radians(1.5), math.radians(15.0))  # that crosses half a lane in 60 m; lane changes are beyond
+_SAME_PLACE_M = 0.5  # between the middles of two boxes: no two vehicles are so near
+WIDER = 0.08  # of a lane's width; why there, stands in the list
+_ABOUT_LANE_M = 0.7  # from a lane's middle: nearly all drive so
+_GROUND_M, _BESIDE_M = 100.0, 40.0  # along the road and across it: how far the ground is looked at for a grade
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,57 +82,62 @@ class Placed:
         return bool(few and held[best] > usual.ALL * len(t) and abs(t[best] - low) < high - low)
 
 
-def carriageway(recording: Recording, scenario: Scenario, placed: Placed, heading_known: bool) -> str | None:
-    """Vehicles that drive obliquely to the road, or almost none of the region on its carriageway."""
-    if scenario.straight is None:
-        return _off_map(recording, scenario, placed.region)
-    inside, stretches = placed.inside, scenario.region.stretches
-    heading = placed.heading_rad[inside]
-    oblique = (np.abs(np.sin(heading)) <= math.sin(usual.ALONG_RAD)).mean() < usual.FEW if heading.size else False
-    if oblique and len(heading) >= usual.FEWEST and heading_known and not recording.report.periods:
-        axis = 0.5 * float(np.angle(np.exp(2j * heading).mean()))  # of both ways along it
-        axis += math.pi if np.cos(heading - axis).sum() < 0.0 else 0.0
-        if (np.abs(np.sin(heading - axis)) <= math.sin(usual.ALONG_RAD)).mean() >= usual.MINORITY:
-            at, meant = _turn_meant(axis, scenario)
-            return (
-                f"vehicles in the region drive at {at:g} degrees to the road's x axis (usual: along it); probably "
-                f"[traffic] heading_deg = {meant:g}, the direction of travel in the file"
-            )
-    looked_at = inside | bool(stretches)  # beside a stretch too
-    if looked_at.sum() < usual.FEWEST:
+# --- What each check measures; None where all may be true: stops --------------------------------------------------
+
+
+def oblique(seen: Seen, few: float) -> Found:
+    """Vehicles that drive obliquely to a straight road."""
+    heading = seen.placed.heading_rad[seen.placed.inside]
+    straight = seen.scenario.straight is not None and not seen.report.periods
+    if not straight or len(heading) < usual.FEWEST or not seen.heading_known:
+        return None
+    axis = 0.5 * float(np.angle(np.exp(2j * heading).mean()))  # of both ways along it
+    axis += math.pi if np.cos(heading - axis).sum() < 0.0 else 0.0
+    if _share_along(heading) >= few or _share_along(heading - axis) < usual.MINORITY:
+        return None
+    return _turn_meant(axis, seen.scenario)
+
+
+def _share_along(heading: np.ndarray) -> float:
+    return float((np.abs(np.sin(heading)) <= math.sin(_ALONG_RAD)).mean())
+
+
+_ALONG_RAD = math.radians(5.0)  # who drives along a road, for the direction of the road
+
+
+def beside(seen: Seen, limit: tuple[float, float]) -> Found:
+    """Almost none of the region's vehicles on the carriageway of a straight road, or most on one beside it."""
+    placed, stretches = seen.placed, seen.scenario.region.stretches
+    looked_at = placed.inside | bool(stretches)  # beside a stretch too
+    if seen.scenario.straight is None or looked_at.sum() < usual.FEWEST:
         return None
     share = placed.on_road[looked_at].mean()
-    nobody = share < usual.FEW and not (inside.sum() >= usual.FEWEST if stretches else _keep_to_it(placed))
-    if not nobody and not placed.beside(looked_at, usual.MINORITY):
+    nobody = share < limit[0] and not (placed.inside.sum() >= usual.FEWEST if stretches else _keep_to_it(placed))
+    if not nobody and not placed.beside(looked_at, limit[1]):
         return None
-    return (
-        f"{100 * share:.0f} % of the boxes {'about' if stretches else 'in'} the region lie on {placed.name}, but at "
-        f"{_span('y', placed.t[looked_at])}; "
-        f"{_place_meant(placed.t[looked_at], recording, scenario)}"
-    )
+    t, where = placed.t[looked_at], "about" if stretches else "in"
+    meant = _place_meant(t, seen.recording, seen.scenario)
+    return {"share": 100 * share, "where": where, "road": placed.name, "span": _span("y", t), "meant": meant}
 
 
-def _off_map(recording: Recording, scenario: Scenario, region: Region) -> str | None:
-    """Most vehicles beside the roads of the map: how far apart both are, and what would join them."""
+def off_map(seen: Seen, half: float) -> Found:
+    """Most vehicles beside the roads of the map: how far apart both are."""
+    if seen.scenario.straight is not None:
+        return None
+    recording, region = seen.recording, seen.placed.region
     part = recording.where(np.arange(len(recording)) % max(1, len(recording) // usual.SAMPLE) == 0)
     near = region.distance(part) <= region.radius_m
     looked_at = part.where(near) if near.sum() >= usual.FEWEST else part
-    share = scenario.road_map.on(looked_at.centre_m).mean()
-    if len(looked_at) < usual.FEWEST or share >= usual.HALF:
+    share = seen.scenario.road_map.on(looked_at.centre_m).mean()
+    if len(looked_at) < usual.FEWEST or share >= half:
         return None
-    middle = np.median(part.centre_m[:, :2], axis=0)
-    away = float(np.hypot(*(middle - region.centre_xy)))
-    return (
-        f"{100 * share:.0f} % of the boxes lie on the map's roads; the middle of the traffic is {away:.0f} m from that "
-        f"of the region, by x {middle[0] - region.centre_xy[0]:.0f}, y {middle[1] - region.centre_xy[1]:.0f} m; check "
-        "[traffic] origin_m and heading_deg, which place the recording, and [road] origin_m, which places the map (of "
-        "traffic in UTM and a SUMO net they differ by its netOffset)"
-    )
+    x, y = np.median(part.centre_m[:, :2], axis=0) - region.centre_xy
+    return {"share": 100 * share, "away": float(np.hypot(x, y)), "x": x, "y": y}
 
 
 def _keep_to_it(placed: Placed) -> bool:
     """Whether three vehicles keep to the carriageway in the region: then others may be many beside it."""
-    along = placed.on_road & (np.cos(placed.heading_rad) > math.cos(usual.ALONG_RAD))
+    along = placed.on_road & (np.cos(placed.heading_rad) > math.cos(_ALONG_RAD))
     of_row = np.unique(placed.vehicle[placed.inside], return_inverse=True)[1].reshape(-1)
     keeping = np.bincount(of_row, along[placed.inside]) > usual.MOST * np.bincount(of_row)
     return bool(keeping.sum() >= FEWEST_ON_A_ROAD and along[placed.inside].sum() >= usual.FEWEST)
@@ -138,95 +154,118 @@ def _place_meant(t: np.ndarray, recording: Recording, scenario: Scenario) -> str
     )
 
 
-# --- What is suspicious and may be right --------------------------------------------------------------------------
-
-
-def _turn_meant(axis: float, scenario: Scenario) -> tuple[float, float]:
+def _turn_meant(axis: float, scenario: Scenario) -> dict[str, float]:
     """A direction in the road frame [rad] in degrees, and as what `heading_deg` would make it the road's."""
     turns = axis, axis + math.radians(scenario.traffic.heading_deg or 0.0)
-    return tuple(round(math.degrees(wrap_angle(angle)), 1) + 0.0 for angle in turns)
+    at, meant = (round(math.degrees(wrap_angle(angle)), 1) + 0.0 for angle in turns)
+    return {"at": at, "meant": meant}
 
 
-def place_notes(recording: Recording, scenario: Scenario, placed: Placed, accepted: bool) -> Iterator[str]:
-    """What is suspicious of the places, as sentences; `accepted` is a warning of the carriageway."""
-    if scenario.straight is None:
-        return
-    t, heading, inside, on_road = placed.t, placed.heading_rad, placed.inside, placed.on_road
-    (low, high), width = placed.edges, float(np.median(scenario.road_map.width_m))
-    ahead = inside & (np.cos(heading) > math.cos(usual.ASTRAY_RAD))
+# --- Notes on a straight road -------------------------------------------------------------------------------------
+
+
+def few_on_it(seen: Seen, minority: float) -> Found:
+    """Few vehicles of the region on the carriageway."""
+    placed, inside = seen.placed, seen.placed.inside
+    ahead = inside & (np.cos(placed.heading_rad) > math.cos(usual.ASTRAY_RAD))
     off = ahead.sum() >= usual.FEWEST and placed.beside(ahead, usual.MOST)
-    off |= inside.any() and on_road[inside].mean() < usual.MINORITY
-    if off and not accepted and not scenario.region.stretches:
-        share = f"{100 * on_road[inside].mean():.2g} % of the boxes in the region"
-        yield f"{share} lie on {placed.name}; they drive at {_span('y', t[inside])}: check [traffic] and [road]"
-    if not LANE_WIDTHS_M[0] <= width <= LANE_WIDTHS_M[1]:
-        yield f"[road] lane_width_m is {width:g} m (usual: {LANE_WIDTHS_M[0]:g} to {LANE_WIDTHS_M[1]:g})"
-    lane = max(width, USUAL_LANE_M)
-    along = (t > low - lane) & (t < high + lane) & (np.abs(np.sin(heading)) < math.sin(usual.ASTRAY_RAD))
-    next_to = (along & ~inside & ~on_road).sum()
-    if scenario.region.stretches and inside.any() and next_to > usual.SOME * (inside.sum() + next_to):
-        share = f"{100 * next_to / (inside.sum() + next_to):.0f} % of the vehicles"
-        yield (
-            f"{share} drive within one lane beside {placed.name}, and do not count; check [road] setback_m and lanes, "
-            "and [traffic] origin_m"
-        )
-    against = np.cos(heading) < -math.cos(usual.ASTRAY_RAD)
-    there = inside & on_road
-    share = against[there].mean() if there.sum() >= usual.FEWEST else 0.0
-    if share > usual.SOME:
-        yield (
-            f"{100 * share:.0f} % of the region's boxes on {placed.name}, drive against the direction of their lane, "
-            "and they count; if they belong to another carriageway, check [road] setback_m and lanes, or give [region] "
-            "keep_out"
-        )
-    nearly = np.arctan(np.tan(heading[there & (np.abs(np.sin(heading)) < math.sin(usual.DRIFT_RAD[1]))]))  # both ways
-    drift, length = float(np.median(nearly)) if len(nearly) >= usual.FEWEST else 0.0, 2.0 * placed.region.radius_m
-    if abs(drift) >= usual.DRIFT_RAD[0]:
-        at, meant = _turn_meant(drift, scenario)
-        yield (
-            f"vehicles on the carriageway drive at {at:g} degrees to the road's x axis, "
-            f"{length * abs(math.tan(drift)):.1f} m across it in {length:.0f} m; check [traffic] heading_deg (such as "
-            f"{meant:g}), if the road does not bend there"
-        )
-    yield from _lane_notes(t[inside & along], scenario)
-    pairs, boxes = _overlapping(recording)
-    if usual.SOME * boxes < pairs <= usual.OVERLAPPING * boxes:
-        yield f"{100 * pairs / boxes:.0f} pairs among 100 boxes overlap (usual: none, or a few)"
-    drives_on, beside = scenario.road.drives_on, against & ((t < low) | (t > high))
-    wrong = beside & (t < low if drives_on == SIDES[0] else t > high)
-    travels = there.sum() >= usual.FEWEST and share < usual.HALF
-    if travels and wrong.sum() >= usual.FEWEST and wrong.sum() > usual.MOST * beside.sum():
-        other = SIDES[1] if drives_on == SIDES[0] else SIDES[0]
-        yield (
-            f"oncoming vehicles drive to the {drives_on} of {placed.name}, at {_span('y', t[wrong])}: either this is "
-            f'{other}-hand traffic ([road] drives_on = "{other}"), where a pole on the {drives_on} stands between both '
-            "directions and not at the roadside, or y is mirrored in the file"
-        )
+    off |= inside.any() and placed.on_road[inside].mean() < minority
+    if not off or "carriageway" in seen.warnings or seen.scenario.region.stretches:
+        return None
+    share, span = 100 * placed.on_road[inside].mean(), _span("y", placed.t[inside])
+    return {"share": share, "road": placed.name, "span": span}
 
 
-def _lane_notes(t: np.ndarray, scenario: Scenario) -> Iterator[str]:
-    """Two lanes and more, found by where boxes lie across the road (n,) [m], that are not those of [road]."""
+def lane_width(seen: Seen, limit: tuple[float, float]) -> Found:
+    """Lanes that nobody builds."""
+    width = _lane_width(seen)
+    return None if limit[0] <= width <= limit[1] else {"width": width, "low": limit[0], "high": limit[1]}
+
+
+def _lane_width(seen: Seen) -> float:
+    return float(np.median(seen.scenario.road_map.width_m))
+
+
+def _along(seen: Seen) -> np.ndarray:
+    """Which boxes drive along the road on the carriageway or within a lane beside it, (n,) bool."""
+    placed, lane = seen.placed, max(_lane_width(seen), USUAL_LANE_M)
+    (low, high), t = placed.edges, placed.t
+    return (t > low - lane) & (t < high + lane) & (np.abs(np.sin(placed.heading_rad)) < math.sin(usual.ASTRAY_RAD))
+
+
+def next_to_it(seen: Seen, some: float) -> Found:
+    """Vehicles that drive beside stretches of the carriageway."""
+    placed = seen.placed
+    next_to, inside = (_along(seen) & ~placed.inside & ~placed.on_road).sum(), placed.inside.sum()
+    if not seen.scenario.region.stretches or not inside or next_to <= some * (inside + next_to):
+        return None
+    return {"share": 100 * next_to / (inside + next_to), "road": placed.name}
+
+
+def _against(seen: Seen) -> tuple[np.ndarray, np.ndarray, float]:
+    """Which boxes drive against their lane, which count on the carriageway, (n,) bool, and what share of these."""
+    against = np.cos(seen.placed.heading_rad) < -math.cos(usual.ASTRAY_RAD)
+    there = seen.placed.inside & seen.placed.on_road
+    return against, there, against[there].mean() if there.sum() >= usual.FEWEST else 0.0
+
+
+def against(seen: Seen, some: float) -> Found:
+    """Vehicles that drive against the direction of their lane."""
+    share = _against(seen)[2]
+    return {"share": 100 * share, "road": seen.placed.name} if share > some else None
+
+
+def slightly_oblique(seen: Seen, limit_rad: float) -> Found:
+    """Vehicles on the carriageway that all drive off its direction by a little."""
+    heading, length = seen.placed.heading_rad[_against(seen)[1]], 2.0 * seen.placed.region.radius_m
+    nearly = np.arctan(np.tan(heading[np.abs(np.sin(heading)) < math.sin(DRIFT_RAD[1])]))  # both ways
+    off = float(np.median(nearly)) if len(nearly) >= usual.FEWEST else 0.0
+    if abs(off) < limit_rad:
+        return None
+    return {**_turn_meant(off, seen.scenario), "across": length * abs(math.tan(off)), "length": length}
+
+
+def _lanes_driven(seen: Seen) -> tuple[np.ndarray, float] | None:
+    """Two lanes and more, by where boxes lie across the road [m], and how far apart they are; None for none."""
+    t = seen.placed.t[seen.placed.inside & _along(seen)]
     if len(t) < 5 * usual.FEWEST:
-        return
-    lanes, width = np.sort(density_peaks(t, np.ones(len(t)))), float(np.median(scenario.road_map.width_m))
-    in_lanes = (np.abs(t[:, None] - lanes) <= usual.ABOUT_LANE_M).any(axis=1).mean()
-    spacing = np.diff(lanes)
+        return None
+    lanes = np.sort(density_peaks(t, np.ones(len(t))))
+    in_lanes, spacing = (np.abs(t[:, None] - lanes) <= _ABOUT_LANE_M).any(axis=1).mean(), np.diff(lanes)
     if len(lanes) < 2 or in_lanes <= usual.MOST or spacing.max() > (1.0 + usual.MANY) * spacing.min():
-        return
-    apart = float(spacing.mean())
-    if abs(apart / width - 1.0) > usual.WIDER:
-        yield (
-            f"vehicles drive in {len(lanes)} lanes {apart:.2f} m apart, but [road] lane_width_m is {width:g} m; if "
-            "that is right, check the unit and the scale of the file's x and y"
-        )
-        return
-    off = np.abs(lanes[:, None] - scenario.road_map.offset_m).min(axis=1) / width
+        return None
+    return lanes, float(spacing.mean())
+
+
+def lane_spacing(seen: Seen, wider: float) -> Found:
+    """Lanes that lie farther apart than those of [road], or nearer."""
+    lanes, apart = _lanes_driven(seen) or ((), 0.0)
+    width = _lane_width(seen)
+    off = len(lanes) and abs(apart / width - 1.0) > wider
+    return {"lanes": len(lanes), "apart": apart, "width": width} if off else None
+
+
+def off_lanes(seen: Seen, limit_m: float) -> Found:
+    """Lanes as far apart as those of [road], beside them."""
+    lanes, apart = _lanes_driven(seen) or ((), 0.0)
+    width = _lane_width(seen)
+    if not len(lanes) or abs(apart / width - 1.0) > WIDER:
+        return None
+    off = np.abs(lanes[:, None] - seen.scenario.road_map.offset_m).min(axis=1) / width
     off = width * np.abs(off - np.rint(off))
-    if off.min() > usual.OFF_LANE_M:
-        yield (
-            f"vehicles drive {off.mean():.1f} m beside the lane centres of [road], at y "
-            f"{', '.join(f'{one:.1f}' for one in lanes)} m; check [road] setback_m and the place of the file's origin"
-        )
+    return {"off": off.mean(), "at": ", ".join(f"{one:.1f}" for one in lanes)} if off.min() > limit_m else None
+
+
+def mirrored(seen: Seen, most: float) -> Found:
+    """Oncoming vehicles on the side on which nobody should come."""
+    placed, (low, high), (oncoming, there, share) = seen.placed, seen.placed.edges, _against(seen)
+    drives_on, beside = seen.scenario.road.drives_on, oncoming & ((placed.t < low) | (placed.t > high))
+    wrong = beside & (placed.t < low if drives_on == SIDES[0] else placed.t > high)
+    travels = there.sum() >= usual.FEWEST and share < usual.HALF
+    if not travels or wrong.sum() < usual.FEWEST or wrong.sum() <= most * beside.sum():
+        return None
+    other = SIDES[1] if drives_on == SIDES[0] else SIDES[0]
+    return {"drives_on": drives_on, "other": other, "road": placed.name, "span": _span("y", placed.t[wrong])}
 
 
 # --- Boxes in one another -----------------------------------------------------------------------------------------
@@ -238,22 +277,29 @@ def _overlapping(recording: Recording) -> tuple[int, float]:
     return report.overlaps, report.overlap_frames * len(recording) / len(recording.frames)
 
 
-def overlaps(recording: Recording) -> str | None:
-    """Boxes that stand in one another."""
-    pairs, boxes = _overlapping(recording)
-    most = usual.SOME if recording.report.periods else usual.OVERLAPPING  # NGSIM's are under 0.1 %
+def twice(seen: Seen, few: float) -> Found:
+    """Boxes that stand where another one stands."""
+    (pairs, boxes), most = _overlapping(seen.recording), _most(seen, (usual.SOME, OVERLAPPING))
     if boxes < usual.FEWEST or not pairs:
         return None
-    twice = _in_one_place(recording)
-    if usual.FEW * boxes < twice <= most * boxes:
-        return f"{twice:,} of {boxes:,.0f} boxes stand where another one stands; probably vehicles are listed twice"
-    if pairs <= most * boxes:
-        return None
-    return (
-        f"{pairs:,} pairs among {boxes:,.0f} boxes overlap (usual: none, or a few in a hundred); probably vehicles are "
-        "listed twice under different ids, sizes are too large (SUMO: give vehicle_types), x and y are bumpers and not "
-        "box centres, or they are in feet or in degrees of longitude and latitude and not in metres"
-    )
+    found = _in_one_place(seen.recording)
+    return {"twice": found, "boxes": boxes} if few * boxes < found <= most * boxes else None
+
+
+def overlaps(seen: Seen, limit: tuple[float, float]) -> Found:
+    """Boxes that stand in one another."""
+    pairs, boxes = _overlapping(seen.recording)
+    return {"pairs": pairs, "boxes": boxes} if boxes >= usual.FEWEST and pairs > _most(seen, limit) * boxes else None
+
+
+def some_overlap(seen: Seen, limit: tuple[float, float]) -> Found:
+    """Some boxes that stand in one another."""
+    pairs, boxes = _overlapping(seen.recording)
+    return {"pairs": 100 * pairs / boxes} if limit[0] * boxes < pairs <= limit[1] * boxes else None
+
+
+def _most(seen: Seen, limit: tuple[float, float]) -> float:
+    return limit[0] if seen.report.periods else limit[1]
 
 
 def _in_one_place(recording: Recording) -> int:
@@ -263,7 +309,7 @@ def _in_one_place(recording: Recording) -> int:
         vehicles = recording.vehicles(frame)
         one, other = overlapping_pairs(vehicles).T
         apart = vehicles.centre_m[one, :2] - vehicles.centre_m[other, :2]
-        found += int((np.hypot(*apart.T) < usual.SAME_PLACE_M).sum())
+        found += int((np.hypot(*apart.T) < _SAME_PLACE_M).sum())
     return found
 
 
@@ -311,33 +357,30 @@ def known_grades(recording: Recording, scenario: Scenario) -> tuple[float, float
 def grades_percent(ground: np.ndarray, middle_m: float) -> tuple[float, float] | None:
     """How the ground (n, 3) rises along x before a place and beyond it [%], by least squares.
 
-    From what lies within `usual.GROUND_M` along the road and `usual.BESIDE_M` beside it; None where that is too little.
+    From what lies within `_GROUND_M` along the road and `_BESIDE_M` beside it; None where that is too little.
     """
     found = []
     for side in (-1.0, 1.0):
         along = side * (ground[:, 0] - middle_m)
-        near = ground[(along >= 0.0) & (along <= usual.GROUND_M) & (np.abs(ground[:, 1]) <= usual.BESIDE_M)]
-        if len(near) < usual.FEWEST or np.ptp(near[:, 0]) < 0.3 * usual.GROUND_M:
+        near = ground[(along >= 0.0) & (along <= _GROUND_M) & (np.abs(ground[:, 1]) <= _BESIDE_M)]
+        if len(near) < usual.FEWEST or np.ptp(near[:, 0]) < 0.3 * _GROUND_M:
             return None
         found.append(100.0 * float(np.polyfit(near[:, 0], near[:, 2], 1)[0]))
     return found[0], found[1]
 
 
-def grade(known: tuple[float, float] | None, said: float) -> str | None:
-    """A ground that rises otherwise than [road] grade_percent says, or has a crest or a dip; `known_grades` before."""
-    if known is None:
+Grades = tuple[float, float] | None
+"""How the ground rises before a place and beyond it [%], as `known_grades` finds it."""
+
+
+def crest(known: Grades, limit: float = 2.0 * GRADE_PERCENT) -> Found:
+    """A crest or a dip."""
+    if known is None or abs(known[1] - known[0]) <= limit:
         return None
-    before, beyond = known
-    if abs(beyond - before) > 2.0 * usual.GRADE_PERCENT:
-        what = "crest" if beyond < before else "dip"
-        return (
-            f"the file's heights make a {what} at the region, from {before:+.1f} to {beyond:+.1f} % along x, and a "
-            "road here is one plane; choose another place, or a shorter [region]"
-        )
-    measured = 0.5 * (before + beyond)
-    if abs(measured - said) > usual.GRADE_PERCENT:
-        return (
-            f"the file's heights rise by {measured:+.1f} % along x, and [road] grade_percent says {said:g}; probably "
-            f"it should be {measured:.1f}"
-        )
-    return None
+    return {"what": "crest" if known[1] < known[0] else "dip", "before": known[0], "beyond": known[1]}
+
+
+def rise(known: Grades, said: float, limit: float = GRADE_PERCENT) -> Found:
+    """A ground that rises otherwise than [road] grade_percent says."""
+    measured = said if known is None else 0.5 * (known[0] + known[1])
+    return {"measured": measured, "said": said} if abs(measured - said) > limit else None
