@@ -15,7 +15,7 @@ from . import usual
 from .region import Region
 
 if TYPE_CHECKING:
-    from .plausibility import Found, Seen
+    from .plausibility import Found, LookedAt
 
 # --- How vehicles move --------------------------------------------------------------------------------------------
 
@@ -103,7 +103,7 @@ class Tracks:
 # --- What each check measures; None where all may be true ---------------------------------------------------------
 
 
-def speeds(seen: Seen, limit: tuple[float, float, float]) -> Found:
+def speeds(seen: LookedAt, limit: tuple[float, float, float]) -> Found:
     """Speeds that no traffic has: a wrong time step or unit, or new vehicle numbers in each frame."""
     (fastest_median, crawl_m_s, crawl_s), ways = limit, seen.tracks.ways
     if len(ways.seconds) < usual.FEWEST:
@@ -116,13 +116,13 @@ def speeds(seen: Seen, limit: tuple[float, float, float]) -> Found:
     return {"median": median, "step_s": seen.tracks.step_s, "cause": cause}
 
 
-def in_two_places(seen: Seen, some: float) -> Found:
+def in_two_places(seen: LookedAt, some: float) -> Found:
     """Vehicles that are in two places at once."""
     repeated, rows_read = seen.report.repeated, seen.report.rows_read
     return {"repeated": repeated, "rows_read": rows_read} if repeated > max(some * rows_read, usual.FEWEST) else None
 
 
-def jumps(seen: Seen, limit: tuple[float, float]) -> Found:
+def jumps(seen: LookedAt, limit: tuple[float, float]) -> Found:
     """Vehicles that jump, each by itself."""
     (fastest_m_s, again_s), tracks, steps = limit, seen.tracks, seen.tracks.steps
     far = steps.distance_m > usual.JUMP_M
@@ -140,7 +140,7 @@ def _next(tracks: Tracks) -> np.ndarray:
     return np.diff(tracks.vehicle[tracks.steps.row]) == 0
 
 
-def jump_together(seen: Seen, limit: tuple[float, float, float]) -> Found:
+def jump_together(seen: LookedAt, limit: tuple[float, float, float]) -> Found:
     """A step in which all vehicles jump alike, as where a camera or an origin has moved."""
     (aside_m, ahead_m, together_s), tracks, steps = limit, seen.tracks, seen.tracks.steps
     now = 1 + np.flatnonzero(_next(tracks) & (np.maximum(steps.seconds[1:], steps.seconds[:-1]) <= together_s))
@@ -168,7 +168,7 @@ def _medians_of(values: np.ndarray, of: np.ndarray) -> np.ndarray:
     return values[np.lexsort((values, of))][np.cumsum(count) - count + count // 2]
 
 
-def headings(seen: Seen, limit: tuple[float, float]) -> Found:
+def headings(seen: LookedAt, limit: tuple[float, float]) -> Found:
     """Headings off the motion: radians, a compass's bearings, mirrored, reversed, or of another axis."""
     (many, off_rad), tracks, ways = limit, seen.tracks, seen.tracks.ways
     if len(ways.seconds) < usual.FEWEST:
@@ -222,7 +222,7 @@ def _off_rad(tracks: Tracks, heading_rad: np.ndarray) -> float:
     return math.sqrt(max(0.0, square))
 
 
-def standing_headings(seen: Seen, stands_m_s: float) -> Found:
+def standing_headings(seen: LookedAt, stands_m_s: float) -> Found:
     """Headings of vehicles that stand, off those with which they came or leave: made of noise, or of nothing."""
     tracks = seen.tracks
     velocity = central_velocity(tracks.vehicle, tracks.time_s, tracks.xy)
@@ -244,19 +244,19 @@ def _share_followed(tracks: Tracks) -> float:
     return len(np.unique(tracks.vehicle[tracks.steps.row])) / max(tracks.vehicles, 1)
 
 
-def has_tracks(seen: Seen) -> bool:
+def has_tracks(seen: LookedAt) -> bool:
     """Whether there are tracks to look at: two frames, two vehicles, and more of them in a second frame than a few."""
     enough = len(seen.recording.frames) > 1 and seen.tracks.vehicles > 1
     return enough and _share_followed(seen.tracks) > usual.SOME
 
 
-def unrelated_frames(seen: Seen, some: float) -> Found:
+def unrelated_frames(seen: LookedAt, some: float) -> Found:
     """Frames that have no vehicle in common."""
     enough = len(seen.recording.frames) > 1 and seen.tracks.vehicles > 1
     return {} if enough and _share_followed(seen.tracks) <= some else None
 
 
-def standing(seen: Seen, most: float) -> Found:
+def standing(seen: LookedAt, most: float) -> Found:
     """Vehicles that never move."""
     first = np.flatnonzero(np.diff(seen.tracks.vehicle, prepend=-1))
     extent = np.maximum.reduceat(seen.tracks.xy, first) - np.minimum.reduceat(seen.tracks.xy, first)
@@ -264,13 +264,13 @@ def standing(seen: Seen, most: float) -> Found:
     return {"seconds": np.ptp(seen.recording.frame_time_s)} if still > most else None
 
 
-def turning(seen: Seen, limit_deg: float) -> Found:
+def turning(seen: LookedAt, limit_deg: float) -> Found:
     """Headings that change from row to row."""
     degrees = math.degrees(float(np.median(np.abs(seen.tracks.steps.turn_rad))))
     return {"degrees": degrees} if degrees > limit_deg else None
 
 
-def varying_lengths(seen: Seen, limit: float) -> Found:
+def varying_lengths(seen: LookedAt, limit: float) -> Found:
     """Lengths of one vehicle that vary: their standard deviation beside their mean, in the median."""
     of_row, length = seen.tracks.vehicle, seen.tracks.length_m
     mean = np.bincount(of_row, length) / np.bincount(of_row)
@@ -278,7 +278,7 @@ def varying_lengths(seen: Seen, limit: float) -> Found:
     return {"share": 100 * varying} if varying > limit else None
 
 
-def missing_rows(seen: Seen, many: float) -> Found:
+def missing_rows(seen: LookedAt, many: float) -> Found:
     """Frames between a vehicle's first and last that lack it."""
     steps, at = seen.tracks.steps, np.searchsorted(seen.recording.frames, seen.tracks.frame)
     gaps = (at[steps.later] - at[steps.row] - 1).sum()
@@ -286,7 +286,7 @@ def missing_rows(seen: Seen, many: float) -> Found:
     return {"share": 100 * missing} if missing > many else None
 
 
-def again_from_behind(seen: Seen, some: float) -> Found:
+def again_from_behind(seen: LookedAt, some: float) -> Found:
     """Vehicles that jump back, as where an id is used again."""
     steps = seen.tracks.steps
     ahead = steps.moved_m[:, 0] * np.cos(steps.heading_rad) + steps.moved_m[:, 1] * np.sin(steps.heading_rad)
@@ -294,7 +294,7 @@ def again_from_behind(seen: Seen, some: float) -> Found:
     return {"share": 100 * again} if again > some else None
 
 
-def coupled(seen: Seen, limit_m: float) -> Found:
+def coupled(seen: LookedAt, limit_m: float) -> Found:
     """Articulated lorries as two boxes: pairs that touch from end to end as they drive."""
     recording, touching = seen.recording, {}
     looked = recording.frames[:: -(-len(recording.frames) // _COUPLED_FRAMES)]
@@ -321,7 +321,7 @@ _COUPLED_FRAMES = 100  # that are looked at
 _MIXED = np.array([2_654_435_761, 40_503])  # odd factors, to give each place a number of its own
 
 
-def copied_minutes(seen: Seen, many: float) -> Found:
+def copied_minutes(seen: LookedAt, many: float) -> Found:
     """Frames whose boxes stand where an earlier one's stood, to the centimetre, and how much later [s].
 
     Vehicles that follow each other at even distances do so too, but some of them are in both frames.

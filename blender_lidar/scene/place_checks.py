@@ -18,7 +18,7 @@ from .region import Region, region_of
 from .scenario import Scenario
 
 if TYPE_CHECKING:
-    from .plausibility import Found, Seen
+    from .plausibility import Found, LookedAt
 
 OVERLAPPING = 0.12  # pairs a box; why there, stands in the list
 GRADE_PERCENT = 1.0  # which moves a beam's end by a car's height at 150 m
@@ -85,7 +85,7 @@ class Placed:
 # --- What each check measures; None where all may be true: stops --------------------------------------------------
 
 
-def oblique(seen: Seen, few: float) -> Found:
+def oblique(seen: LookedAt, few: float) -> Found:
     """Vehicles that drive obliquely to a straight road."""
     heading = seen.placed.heading_rad[seen.placed.inside]
     straight = seen.scenario.straight is not None and not seen.report.periods
@@ -105,7 +105,7 @@ def _share_along(heading: np.ndarray) -> float:
 _ALONG_RAD = math.radians(5.0)  # who drives along a road, for the direction of the road
 
 
-def beside(seen: Seen, limit: tuple[float, float]) -> Found:
+def beside(seen: LookedAt, limit: tuple[float, float]) -> Found:
     """Almost none of the region's vehicles on the carriageway of a straight road, or most on one beside it."""
     placed, stretches = seen.placed, seen.scenario.region.stretches
     looked_at = placed.inside | bool(stretches)  # beside a stretch too
@@ -120,7 +120,7 @@ def beside(seen: Seen, limit: tuple[float, float]) -> Found:
     return {"share": 100 * share, "where": where, "road": placed.name, "span": _span("y", t), "meant": meant}
 
 
-def off_map(seen: Seen, half: float) -> Found:
+def off_map(seen: LookedAt, half: float) -> Found:
     """Most vehicles beside the roads of the map: how far apart both are."""
     if seen.scenario.straight is not None:
         return None
@@ -164,7 +164,7 @@ def _turn_meant(axis: float, scenario: Scenario) -> dict[str, float]:
 # --- Notes on a straight road -------------------------------------------------------------------------------------
 
 
-def few_on_it(seen: Seen, minority: float) -> Found:
+def few_on_it(seen: LookedAt, minority: float) -> Found:
     """Few vehicles of the region on the carriageway."""
     placed, inside = seen.placed, seen.placed.inside
     ahead = inside & (np.cos(placed.heading_rad) > math.cos(usual.ASTRAY_RAD))
@@ -176,24 +176,24 @@ def few_on_it(seen: Seen, minority: float) -> Found:
     return {"share": share, "road": placed.name, "span": span}
 
 
-def lane_width(seen: Seen, limit: tuple[float, float]) -> Found:
+def lane_width(seen: LookedAt, limit: tuple[float, float]) -> Found:
     """Lanes that nobody builds."""
     width = _lane_width(seen)
     return None if limit[0] <= width <= limit[1] else {"width": width, "low": limit[0], "high": limit[1]}
 
 
-def _lane_width(seen: Seen) -> float:
+def _lane_width(seen: LookedAt) -> float:
     return float(np.median(seen.scenario.road_map.width_m))
 
 
-def _along(seen: Seen) -> np.ndarray:
+def _along(seen: LookedAt) -> np.ndarray:
     """Which boxes drive along the road on the carriageway or within a lane beside it, (n,) bool."""
     placed, lane = seen.placed, max(_lane_width(seen), USUAL_LANE_M)
     (low, high), t = placed.edges, placed.t
     return (t > low - lane) & (t < high + lane) & (np.abs(np.sin(placed.heading_rad)) < math.sin(usual.ASTRAY_RAD))
 
 
-def next_to_it(seen: Seen, some: float) -> Found:
+def next_to_it(seen: LookedAt, some: float) -> Found:
     """Vehicles that drive beside stretches of the carriageway."""
     placed = seen.placed
     next_to, inside = (_along(seen) & ~placed.inside & ~placed.on_road).sum(), placed.inside.sum()
@@ -202,20 +202,20 @@ def next_to_it(seen: Seen, some: float) -> Found:
     return {"share": 100 * next_to / (inside + next_to), "road": placed.name}
 
 
-def _against(seen: Seen) -> tuple[np.ndarray, np.ndarray, float]:
+def _against(seen: LookedAt) -> tuple[np.ndarray, np.ndarray, float]:
     """Which boxes drive against their lane, which count on the carriageway, (n,) bool, and what share of these."""
     against = np.cos(seen.placed.heading_rad) < -math.cos(usual.ASTRAY_RAD)
     there = seen.placed.inside & seen.placed.on_road
     return against, there, against[there].mean() if there.sum() >= usual.FEWEST else 0.0
 
 
-def against(seen: Seen, some: float) -> Found:
+def against(seen: LookedAt, some: float) -> Found:
     """Vehicles that drive against the direction of their lane."""
     share = _against(seen)[2]
     return {"share": 100 * share, "road": seen.placed.name} if share > some else None
 
 
-def slightly_oblique(seen: Seen, limit_rad: float) -> Found:
+def slightly_oblique(seen: LookedAt, limit_rad: float) -> Found:
     """Vehicles on the carriageway that all drive off its direction by a little."""
     heading, length = seen.placed.heading_rad[_against(seen)[1]], 2.0 * seen.placed.region.radius_m
     nearly = np.arctan(np.tan(heading[np.abs(np.sin(heading)) < math.sin(DRIFT_RAD[1])]))  # both ways
@@ -225,7 +225,7 @@ def slightly_oblique(seen: Seen, limit_rad: float) -> Found:
     return {**_turn_meant(off, seen.scenario), "across": length * abs(math.tan(off)), "length": length}
 
 
-def _lanes_driven(seen: Seen) -> tuple[np.ndarray, float] | None:
+def _lanes_driven(seen: LookedAt) -> tuple[np.ndarray, float] | None:
     """Two lanes and more, by where boxes lie across the road [m], and how far apart they are; None for none."""
     t = seen.placed.t[seen.placed.inside & _along(seen)]
     if len(t) < 5 * usual.FEWEST:
@@ -237,7 +237,7 @@ def _lanes_driven(seen: Seen) -> tuple[np.ndarray, float] | None:
     return lanes, float(spacing.mean())
 
 
-def lane_spacing(seen: Seen, wider: float) -> Found:
+def lane_spacing(seen: LookedAt, wider: float) -> Found:
     """Lanes that lie farther apart than those of [road], or nearer."""
     lanes, apart = _lanes_driven(seen) or ((), 0.0)
     width = _lane_width(seen)
@@ -245,7 +245,7 @@ def lane_spacing(seen: Seen, wider: float) -> Found:
     return {"lanes": len(lanes), "apart": apart, "width": width} if off else None
 
 
-def off_lanes(seen: Seen, limit_m: float) -> Found:
+def off_lanes(seen: LookedAt, limit_m: float) -> Found:
     """Lanes as far apart as those of [road], beside them."""
     lanes, apart = _lanes_driven(seen) or ((), 0.0)
     width = _lane_width(seen)
@@ -256,7 +256,7 @@ def off_lanes(seen: Seen, limit_m: float) -> Found:
     return {"off": off.mean(), "at": ", ".join(f"{one:.1f}" for one in lanes)} if off.min() > limit_m else None
 
 
-def mirrored(seen: Seen, most: float) -> Found:
+def mirrored(seen: LookedAt, most: float) -> Found:
     """Oncoming vehicles on the side on which nobody should come."""
     placed, (low, high), (oncoming, there, share) = seen.placed, seen.placed.edges, _against(seen)
     drives_on, beside = seen.scenario.road.drives_on, oncoming & ((placed.t < low) | (placed.t > high))
@@ -277,7 +277,7 @@ def _overlapping(recording: Recording) -> tuple[int, float]:
     return report.overlaps, report.overlap_frames * len(recording) / len(recording.frames)
 
 
-def twice(seen: Seen, few: float) -> Found:
+def twice(seen: LookedAt, few: float) -> Found:
     """Boxes that stand where another one stands."""
     (pairs, boxes), most = _overlapping(seen.recording), _most(seen, (usual.SOME, OVERLAPPING))
     if boxes < usual.FEWEST or not pairs:
@@ -286,19 +286,19 @@ def twice(seen: Seen, few: float) -> Found:
     return {"twice": found, "boxes": boxes} if few * boxes < found <= most * boxes else None
 
 
-def overlaps(seen: Seen, limit: tuple[float, float]) -> Found:
+def overlaps(seen: LookedAt, limit: tuple[float, float]) -> Found:
     """Boxes that stand in one another."""
     pairs, boxes = _overlapping(seen.recording)
     return {"pairs": pairs, "boxes": boxes} if boxes >= usual.FEWEST and pairs > _most(seen, limit) * boxes else None
 
 
-def some_overlap(seen: Seen, limit: tuple[float, float]) -> Found:
+def some_overlap(seen: LookedAt, limit: tuple[float, float]) -> Found:
     """Some boxes that stand in one another."""
     pairs, boxes = _overlapping(seen.recording)
     return {"pairs": 100 * pairs / boxes} if limit[0] * boxes < pairs <= limit[1] * boxes else None
 
 
-def _most(seen: Seen, limit: tuple[float, float]) -> float:
+def _most(seen: LookedAt, limit: tuple[float, float]) -> float:
     return limit[0] if seen.report.periods else limit[1]
 
 

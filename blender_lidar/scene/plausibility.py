@@ -47,20 +47,20 @@ class Check(NamedTuple):
     """
 
     name: str
-    measure: Callable[[Seen, Any], Found]
+    measure: Callable[[LookedAt, Any], Found]
     limit: Any
     reason: str
     seen: str
     advice: str = ""
 
-    def said(self, recording: Seen) -> str | None:
+    def said(self, recording: LookedAt) -> str | None:
         """What is said of a recording."""
         found = self.measure(recording, self.limit)
         parts = [part for part in (self.seen, self.advice) if part]
         return None if found is None else ("; " if self.name else ": ").join(parts).format(**found)
 
 
-class Seen:
+class LookedAt:
     """The vehicles of a recording in the road frame, and what several checks look at, made once.
 
     Sizes are looked at of `everyone`, who walks too.
@@ -103,7 +103,7 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
         In one line what was seen, what is usual and what is probably meant, for the first that is not accepted.
     """
     recording = _on_plane(recording, scenario)
-    seen, notes = Seen(recording.vehicles_alone, recording, scenario), []
+    seen, notes = LookedAt(recording.vehicles_alone, recording, scenario), []
     for check in _checks_of(seen):
         if check.name in seen.warnings or (check.name in ("tracks", "overlaps") and seen.warnings):
             continue  # they follow from a warning that is there already
@@ -154,7 +154,7 @@ def _fits(size_m: np.ndarray, class_index: np.ndarray, limits: Mapping) -> np.nd
     return ((size_m >= limits[..., 0]) & (size_m <= limits[..., 1])).all(axis=1)
 
 
-def _impossible_sizes(seen: Seen, limits: Mapping) -> Found:
+def _impossible_sizes(seen: LookedAt, limits: Mapping) -> Found:
     """Sizes that most of a class cannot have."""
     sample = seen.sample
     for index in np.argsort(-np.bincount(sample.class_index)):
@@ -176,7 +176,7 @@ def _by(sizes) -> str:
     return " by ".join(f"{one:.3g}" if np.isscalar(one) else "{:g} to {:g}".format(*one) for one in sizes)
 
 
-def _heights_alike(seen: Seen, limit: tuple[float, float, float]) -> Found:
+def _heights_alike(seen: LookedAt, limit: tuple[float, float, float]) -> Found:
     """Trucks and buses as large as cars, or long and no higher: one size or height for all, as none was known."""
     alike_m, long_m, higher_m = limit
     kind, size = seen.sample.class_index, seen.sample.size_m
@@ -191,7 +191,7 @@ def _heights_alike(seen: Seen, limit: tuple[float, float, float]) -> Found:
     return {"other": _by(other), "car": _by(car)} if alike else None
 
 
-def _heights_of_middles(seen: Seen, off_m: float) -> Found:
+def _heights_of_middles(seen: LookedAt, off_m: float) -> Found:
     """Boxes that stand above the road or in it: z_m that is not of their middles, on z = 0 or on a map's heights."""
     sample = seen.sample
     z, half = sample.centre_m[:, 2], 0.5 * sample.size_m[:, 2]
@@ -202,7 +202,7 @@ def _heights_of_middles(seen: Seen, off_m: float) -> Found:
     return {"z": np.median(z), "half": np.median(half)}
 
 
-def _odd_sizes(seen: Seen, some: float) -> Found:
+def _odd_sizes(seen: LookedAt, some: float) -> Found:
     """Sizes that are impossible for some boxes."""
     sample = seen.sample
     odd = ~_fits(sample.size_m, sample.class_index, _SIZES_M)
@@ -211,32 +211,32 @@ def _odd_sizes(seen: Seen, some: float) -> Found:
     return {"share": 100 * odd.mean(), "name": CLASSES[sample.class_index[odd][0]], "size": _by(sample.size_m[odd][0])}
 
 
-def _made_up_sizes(seen: Seen, half: float) -> Found:
+def _made_up_sizes(seen: LookedAt, half: float) -> Found:
     """Sizes that were made up in reading for most vehicles."""
     repaired, vehicles = seen.report.sizes_repaired, len(np.unique(seen.recording.vehicle_id))
     return {"repaired": repaired, "vehicles": vehicles} if repaired > max(half * vehicles, 1) else None
 
 
-def _crest(seen: Seen, limit: float) -> Found:
+def _crest(seen: LookedAt, limit: float) -> Found:
     return place.crest(place.known_grades(seen.recording, seen.scenario), limit)
 
 
-def _rise(seen: Seen, limit: float) -> Found:
+def _rise(seen: LookedAt, limit: float) -> Found:
     return place.rise(place.known_grades(seen.recording, seen.scenario), seen.scenario.road.grade_percent, limit)
 
 
-def _drift(seen: Seen, limit: tuple[float, float]) -> Found:
+def _drift(seen: LookedAt, limit: tuple[float, float]) -> Found:
     return motion.drift(seen.tracks, seen.placed.region, *limit) if seen.lies_along_x else None
 
 
-def _bend(seen: Seen, limit: float) -> Found:
+def _bend(seen: LookedAt, limit: float) -> Found:
     return motion.bend(seen.tracks, seen.placed.region, limit) if seen.lies_along_x else None
 
 
 # --- The list: causes before what comes of them, the names as in `names.WARNINGS`; then notes ---------------------
 
 # fmt: off
-STOPS = (
+WARNING_CHECKS = (
     Check("grade", _crest, 2.0 * place.GRADE_PERCENT, "a metre in a hundred from either side",
         "the file's heights make a {what} at the region, from {before:+.1f} to {beyond:+.1f} % along x, and a road "
         "here is one plane",
@@ -317,7 +317,7 @@ STOPS = (
         "and y are bumpers and not box centres, or they are in feet or in degrees of longitude and latitude and not "
         "in metres"),
 )
-NOTES = (
+NOTE_CHECKS = (
     Check("", _odd_sizes, usual.SOME, "of the boxes",
         "{share:.0f} % of the boxes have impossible sizes for their class, as a {name} of {size} m"),
     Check("", _made_up_sizes, usual.HALF, "of the vehicles",
@@ -332,7 +332,7 @@ NOTES = (
         "{pairs} of boxes touch from end to end as they drive",
         "tractors and trailers as two boxes each? They count as two vehicles; give one box to each"),
 )
-NOTES_OF_TRACKS = (
+TRACK_NOTES = (
     Check("", motion.copied_minutes, usual.MANY, "of the frames",
         "{share:.0f} % of the frames come again to the centimetre {later_s:g} s later, under other vehicle numbers",
         "if the recording holds the same minutes twice, held-out frames are copies of searched ones"),
@@ -352,7 +352,7 @@ NOTES_OF_TRACKS = (
         "{share:.0f} % of the vehicles jump back and drive past again",
         "if ids are reused, the later vehicles are left out of the check on held-out traffic"),
 )
-NOTES_OF_A_STRAIGHT_ROAD = (
+STRAIGHT_ROAD_NOTES = (
     Check("", place.few_on_it, usual.MINORITY, "of the boxes: under a half",
         "{share:.2g} % of the boxes in the region lie on {road}; they drive at {span}",
         "check [traffic] and [road]"),
@@ -383,14 +383,14 @@ NOTES_OF_A_STRAIGHT_ROAD = (
         "between both directions and not at the roadside, or y is mirrored in the file"),
 )
 # fmt: on
-CHECKS = (*STOPS, *NOTES, *NOTES_OF_TRACKS, *NOTES_OF_A_STRAIGHT_ROAD)
+CHECKS = (*WARNING_CHECKS, *NOTE_CHECKS, *TRACK_NOTES, *STRAIGHT_ROAD_NOTES)
 
 
-def _checks_of(seen: Seen) -> Iterator[Check]:
+def _checks_of(seen: LookedAt) -> Iterator[Check]:
     """The checks that a recording gives reason for, in order."""
-    yield from STOPS
-    yield from NOTES
+    yield from WARNING_CHECKS
+    yield from NOTE_CHECKS
     if motion.has_tracks(seen):
-        yield from NOTES_OF_TRACKS
+        yield from TRACK_NOTES
     if seen.scenario.straight is not None:
-        yield from NOTES_OF_A_STRAIGHT_ROAD
+        yield from STRAIGHT_ROAD_NOTES
