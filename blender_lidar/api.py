@@ -43,7 +43,7 @@ from .scene.settings import DECLARED
 from .scene.site import Site, frame_of, prepare, reach_of
 from .scoring.evaluation import Evaluator, site_evaluator
 from .toml_table import checked, settings_of
-from .traffic.vehicles import Vehicles
+from .traffic.boxes import Boxes
 
 Progress = Callable[[int, int, str], None]
 """Called with how much is done, of how much, and the best so far in words."""
@@ -336,7 +336,7 @@ def _reaching(site: Site, mounts: Sequence[Mounting]) -> Site:
     if reach_of(site.scenario, mounts) > site.reach_m:
         check_same_inputs(site.scenario, site.identity)
         site = prepare(site.scenario, mounts)
-    frames = [frame.vehicles for frame in (*site.search, *site.holdout)]
+    frames = [*site.search, *site.holdout]
     for host, name, mount in zip(hosts, names, mounts, strict=True):
         check_mount_is_clear(host, frames, {name: mount}, site.observation.scenery and site.observation.scenery.scenery)
     return site
@@ -370,7 +370,7 @@ def scan_frame(site: Site, frame: int, **mounting: float | Mapping[str, float]) 
 
 def score_cloud(
     points: str | Path | np.ndarray | PointCloud | Scan,
-    boxes: str | Path | Vehicles | Mapping | None = None,
+    boxes: str | Path | Boxes | Mapping | None = None,
     vehicle_id: np.ndarray | None = None,
     **settings: object,
 ):
@@ -380,7 +380,7 @@ def score_cloud(
     ----------
     points : path, array_like (n, 3), PointCloud or Scan
         The cloud [m]: a file of any format that `score` reads, coordinates, or what `scan_frame` returned.
-    boxes : path, Vehicles, DataFrame or mapping of str to (m,) values
+    boxes : path, Boxes, DataFrame or mapping of str to (m,) values
         The boxes in the frame of the cloud: in the columns of vehicles.csv, or those of a frame. A `Scan` has its own.
     vehicle_id : array_like of int, (n,), optional
         The vehicle that each point belongs to, -1 for none, where `points` are coordinates.
@@ -410,10 +410,7 @@ def score_cloud(
     }
     asked = ScoreOptions(points=_named(points, "points"), boxes=_named(boxes, "boxes"), **given)
     metrics = metrics_of(asked)
-    if isinstance(boxes, Vehicles):
-        vehicles = boxes
-    else:
-        vehicles = boxes_of(asked, boxes if hasattr(boxes, "keys") else asked.boxes)
+    vehicles = boxes if isinstance(boxes, Boxes) else boxes_of(asked, boxes if hasattr(boxes, "keys") else asked.boxes)
     if not len(vehicles) or asked.frame not in (None, vehicles.frame):
         held = f"frame {vehicles.frame}, {len(vehicles)} vehicles"
         raise InputError(

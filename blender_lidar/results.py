@@ -22,7 +22,7 @@ from .report.summary import answer, each_lidar, key_figures, warnings_text
 from .run.folder import RunFolder
 from .scene.mounting import COORDINATES
 from .scene.site import Site
-from .traffic.vehicles import Vehicles
+from .traffic.boxes import Boxes
 
 
 def table_of(columns: Mapping[str, np.ndarray]):
@@ -211,14 +211,14 @@ class Scan:
     ----------
     cloud : PointCloud
         The returns, ground included [m, road frame].
-    vehicles : Vehicles
+    vehicles : Boxes
         The boxes of the frame.
     header : dict
         Sensor, pose and settings, as files of clouds keep them.
     """
 
     cloud: PointCloud
-    vehicles: Vehicles
+    vehicles: Boxes
     header: dict[str, object]
 
     @property

@@ -61,7 +61,7 @@ def check_a_scan_and_a_score_are_those_of_the_command_line():
 
     scenario = scenarios.scenario_from(scene, lidar)
     site = prepared(scenario, mounting(POSE))
-    assert [frame.vehicles.frame for frame in site.search] == [FRAME]
+    assert [frame.frame for frame in site.search] == [FRAME]
     with Evaluator(site.search, site.observation, site.scoring) as evaluator:
         totals = evaluator.totals([(mounting(POSE),), (scenario.baseline,)])
     group, vehicles = lidar.blender_lidar, int(totals.vehicles[0])

@@ -60,7 +60,7 @@ def check_the_example_plays_20_s_from_the_current_frame_and_is_scanned_at_every_
             assert np.all(np.abs(along) < vehicles.size_m[row, 0] / 2 + 1e-3)
             assert np.all(np.abs(across) < vehicles.size_m[row, 1] / 2 + 1e-3)
     assert len({xyz.tobytes() for xyz in seen}) == 4
-    np.testing.assert_array_equal(played.vehicles(2505).centre_m, played.moment(0.5).centre_m)
+    np.testing.assert_array_equal(played.at(2505).centre_m, played.moment(0.5).centre_m)
     lidar.blender_lidar.live = True
     for row, at in ((1, 17), (2, 23)):  # Live follows, and finds what Scan has found
         scene.frame_set(at)
@@ -100,14 +100,14 @@ def check_steps_go_from_instant_to_instant_and_starts_at_moves_the_clock():
     for back, expected in ((True, FRAME), (True, FRAME - 1), (False, FRAME), (False, FRAME + 1)):
         assert bpy.ops.blender_lidar.step_frame(back=back) == {"FINISHED"}
         assert group.frame == expected
-        assert_shows(scene, recording.vehicles(expected))
+        assert_shows(scene, recording.at(expected))
     at = scene.frame_current
     group.starts_s += 2.0  # an instant later
     assert (scene.frame_current, group.frame) == (at, FRAME)
-    assert_shows(scene, recording.vehicles(FRAME))
+    assert_shows(scene, recording.at(FRAME))
     scene.render.fps = fps + 1  # whatever the rate, a second is a second
     group.frame = FRAME + 3
-    assert_shows(scene, recording.vehicles(FRAME + 3))
+    assert_shows(scene, recording.at(FRAME + 3))
     before = session.since_of(scene)
     assert bpy.ops.blender_lidar.load() == {"FINISHED"}
     assert abs(session.since_of(scene) - before) < 1e-5

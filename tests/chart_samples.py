@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,9 +17,7 @@ from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.verdict import ScoreMap
 from blender_lidar.scene.mounting import COORDINATES
-from blender_lidar.scene.observation import CountedFrame
-from blender_lidar.traffic.boxes import DetectedBoxes
-from blender_lidar.traffic.vehicles import Vehicles
+from blender_lidar.traffic.boxes import Boxes, detected_boxes
 from tests.small_scene import mounting
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -44,10 +43,10 @@ def table(seed: int, number: int = 200) -> dict[str, np.ndarray]:
     }
 
 
-def vehicles(seed: int, number: int = 12) -> Vehicles:
+def vehicles(seed: int, number: int = 12) -> Boxes:
     rng = np.random.default_rng(seed)
     whole = np.zeros(number, dtype=int)
-    return Vehicles(
+    return Boxes(
         frame=7,
         time_s=0.0,
         vehicle_id=np.arange(number),
@@ -139,9 +138,9 @@ def sights(seen: np.ndarray, *, number: int = 500) -> tuple[Sight, Sight]:
 
 def detections(number: int = 300) -> dict[str, object]:
     """Arguments of the chart of detections: of ten vehicles that count and two others each second one is found."""
-    frame = CountedFrame(vehicles(4), np.arange(12) < 10)
-    shown = frame.vehicles.select(np.arange(12) % 2 == 0)
-    boxes = DetectedBoxes(
+    frame = replace(vehicles(4), counted=np.arange(12) < 10)
+    shown = frame.select(np.arange(12) % 2 == 0)
+    boxes = detected_boxes(
         np.concatenate([shown.centre_m, [(20.0, 25.0, 1.0)]]),
         np.concatenate([shown.size_m, [(4.0, 1.8, 1.5)]]),
         np.append(shown.heading_rad, 0.3),

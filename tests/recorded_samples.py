@@ -12,7 +12,8 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import PERFECT
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.traffic.vehicles import CLASSES, Vehicles
+from blender_lidar.traffic.boxes import Boxes
+from blender_lidar.traffic.vehicles import CLASSES
 from tests.sample_traffic import scan
 
 KITTI = Path(__file__).parents[1].parent / "shared" / "data" / "kitti"
@@ -23,14 +24,14 @@ SENSOR = "HDL-64E-S3"
 CALIBRATION = "R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0\n"
 
 
-def street(seed: int = 1, cars: int = 7) -> Vehicles:
+def street(seed: int = 1, cars: int = 7) -> Boxes:
     """Cars about a LiDAR at the origin, 12 to 45 m ahead of it (+y) at all bearings, none hidden by another."""
     rng = np.random.default_rng(seed)
     azimuth = np.linspace(-0.9, 0.9, cars)
     distance = rng.uniform(12.0, 45.0, cars)
     size = rng.uniform([3.6, 1.6, 1.4], [4.6, 1.9, 1.6], (cars, 3))
     centre = np.column_stack([distance * np.sin(azimuth), distance * np.cos(azimuth), 0.5 * size[:, 2]])
-    return Vehicles(
+    return Boxes(
         frame=seed,
         time_s=0.0,
         vehicle_id=np.arange(cars),
@@ -42,7 +43,7 @@ def street(seed: int = 1, cars: int = 7) -> Vehicles:
     )
 
 
-def scanned(vehicles: Vehicles, pose: Pose | None = None, sensor=SENSOR, detail: str = "body", imperfections=PERFECT):
+def scanned(vehicles: Boxes, pose: Pose | None = None, sensor=SENSOR, detail: str = "body", imperfections=PERFECT):
     """The cloud of one turn over vehicles, in the road frame."""
     return scan(
         vehicles,

@@ -7,16 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from blender_lidar.clouds import scan as clouds
-from blender_lidar.scene.observation import CountedFrame, Observation
+from blender_lidar.scene.observation import Observation
 from blender_lidar.sensors.imperfections import PERFECT
 from blender_lidar.sensors.lidar import Lidar
-from blender_lidar.traffic.vehicles import CLASSES, Vehicles
+from blender_lidar.traffic.boxes import Boxes
+from blender_lidar.traffic.vehicles import CLASSES
 
 SIZES = np.array([[4.4, 1.85, 1.5], [5.2, 2.0, 1.9], [12.7, 2.5, 3.8], [12.0, 2.5, 3.2], [2.1, 0.8, 1.4]])
 SIZES = np.concatenate([SIZES, [[1.8, 0.6, 1.7], [0.5, 0.6, 1.7]]])
 
 
-def dense_traffic(seed: int = 1, vehicles: int = 130, length_m: float = 500.0, frame: int = 0) -> Vehicles:
+def dense_traffic(seed: int = 1, vehicles: int = 130, length_m: float = 500.0, frame: int = 0) -> Boxes:
     """Bumper to bumper on six lanes from y = 2 m on, boxes apart from each other, headings a little off the road's."""
     rng = np.random.default_rng(seed)
     lane = rng.integers(0, 6, vehicles)
@@ -29,7 +30,7 @@ def dense_traffic(seed: int = 1, vehicles: int = 130, length_m: float = 500.0, f
         index[mine] = np.where(SIZES[index[mine], 0] > 0.85 * gap, 0, index[mine])
     size = SIZES[index] * rng.uniform(0.97, 1.03, (vehicles, 3))
     y = 2.0 + 3.66 * (lane + 0.5) + rng.uniform(-0.3, 0.3, vehicles)
-    return Vehicles(
+    return Boxes(
         frame=frame,
         time_s=0.1 * frame,
         vehicle_id=np.arange(vehicles) + 100,
@@ -41,23 +42,23 @@ def dense_traffic(seed: int = 1, vehicles: int = 130, length_m: float = 500.0, f
     )
 
 
-def counted_frames(number: int, seed: int = 0) -> list[CountedFrame]:
+def counted_frames(number: int, seed: int = 0) -> list[Boxes]:
     """Frames of 20 vehicles, of which those within 30 m of the origin count."""
     every = [dense_traffic(seed + frame, vehicles=20, length_m=80.0, frame=frame) for frame in range(number)]
-    return [CountedFrame(one, np.hypot(*one.centre_m[:, :2].T) < 30.0) for one in every]
+    return [replace(one, counted=np.hypot(*one.centre_m[:, :2].T) < 30.0) for one in every]
 
 
-def joined(*frames: Vehicles) -> Vehicles:
+def joined(*frames: Boxes) -> Boxes:
     """The vehicles of several frames in one, which is the first otherwise."""
     names = ("vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane")
     return replace(frames[0], **{name: np.concatenate([getattr(frame, name) for frame in frames]) for name in names})
 
 
-def one_vehicle(name: str, centre=(0.0, 10.0), heading: float = 0.0, size=None) -> Vehicles:
+def one_vehicle(name: str, centre=(0.0, 10.0), heading: float = 0.0, size=None) -> Boxes:
     """A single vehicle of a class, standing on the road."""
     index = CLASSES.index(name)
     size = np.array([SIZES[index] if size is None else size], dtype=float)
-    return Vehicles(
+    return Boxes(
         frame=0,
         time_s=0.0,
         vehicle_id=np.array([1]),

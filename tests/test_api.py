@@ -88,7 +88,7 @@ def test_a_mounting_beyond_the_searched_places_meets_all_vehicles_that_matter_to
 
 def test_a_scan_that_is_scored_has_the_occupancies_of_the_scorer(site):
     at = {"height_m": 4.0, "tilt_x_deg": 15.0}
-    frame = site.search[0].vehicles.frame
+    frame = site.search[0].frame
     scan = bl.scan_frame(site, frame, **at)
     scored = rows_of(bl.score_cloud(scan.cloud.xyz, scan.vehicles, scan.cloud.vehicle_id))
     seen = rows_of(bl.score_mounting(site, **at).vehicles)
@@ -99,7 +99,7 @@ def test_a_scan_that_is_scored_has_the_occupancies_of_the_scorer(site):
 
 
 def test_a_cloud_is_scored_from_its_file_too(tmp_path, site):
-    scan = bl.scan_frame(site, site.search[0].vehicles.frame, height_m=4.0)
+    scan = bl.scan_frame(site, site.search[0].frame, height_m=4.0)
     scan.write(tmp_path / "cloud.npz")
     of_file = rows_of(bl.score_cloud(tmp_path / "cloud.npz", scan.vehicles, metrics=[OPTIONS["log_returns"]]))
     of_arrays = rows_of(bl.score_cloud(scan.cloud.xyz, scan.vehicles, scan.cloud.vehicle_id))
@@ -192,7 +192,7 @@ def test_settings_may_be_tables_of_the_scene_file_and_values_of_numpy(tmp_path):
     assert site.scenario.deployment.bounds["height_m"] == (2.0, 3.0)
     assert not site.holdout
     assert site.scenario.search.seed == 7
-    assert [frame.vehicles.frame for frame in site.search] == [10, 20, 30]
+    assert [frame.frame for frame in site.search] == [10, 20, 30]
 
 
 def test_a_scene_may_be_given_as_its_tables(tmp_path):
@@ -231,7 +231,7 @@ def test_tables_of_any_kind_are_scored_and_a_scored_one_again(site):
 
 
 def test_a_scan_brings_its_labels_and_boxes_and_a_table_of_boxes_does_as_well(tmp_path, site):
-    frame = site.search[0].vehicles.frame
+    frame = site.search[0].frame
     scan = bl.scan_frame(site, np.int64(frame), height_m=4.0)
     whole = rows_of(bl.score_cloud(scan))
     vehicles = rows_of(bl.score_mounting(site, height_m=4.0).vehicles)
@@ -283,10 +283,10 @@ def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
         (lambda site: bl.score_mountings(site, []), "score_mountings: the table is empty"),
         (lambda site: bl.score_mountings(site, {"height_m": [2, 3], "tilt_x_deg": [1]}), "allowed: .s,., all of one"),
         (
-            lambda site: bl.score_cloud(np.zeros((2, 2)), site.search[0].vehicles),
+            lambda site: bl.score_cloud(np.zeros((2, 2)), site.search[0]),
             r"points: shape \(2, 2\); allowed: \(n, 3\)",
         ),
-        (lambda site: bl.score_cloud(np.zeros((2, 3)), site.search[0].vehicles, [1]), r"of shape \(1,\)"),
+        (lambda site: bl.score_cloud(np.zeros((2, 3)), site.search[0], [1]), r"of shape \(1,\)"),
         (lambda site: bl.score_cloud(np.zeros((1, 3)), boxes_table(x_m=[1, 2]), [1]), r"x_m \(2,\), .*one length"),
         (lambda site: bl.score_cloud(np.zeros((1, 3)), {"frame": [1]}, [1]), "^boxes: .*vehicle_id"),
         (lambda site: bl.score_cloud("a.npz", "b.csv", colour=1), "score_cloud: unknown setting 'colour'"),
@@ -296,9 +296,9 @@ def test_pictures_are_png_and_a_given_mounting_has_no_map(site):
         (lambda site: bl.score_mountings(site, [{"height_m": 3}, 4]), "row 2: is 4; allowed: a mapping"),
         (lambda site: bl.score_mountings(site, {"height_m": [3, np.nan]}), "row 2: height_m: is nan; allowed"),
         (lambda site: bl.scan_frame(site, "1400"), "frame: is '1400'; allowed: a whole number"),
-        (lambda site: bl.score_cloud("a.npz", site.search[0].vehicles, [1]), "is given beside a file"),
+        (lambda site: bl.score_cloud("a.npz", site.search[0], [1]), "is given beside a file"),
         (
-            lambda site: bl.score_cloud(np.zeros((1, 3)), site.search[0].vehicles, [1], frame=-5),
+            lambda site: bl.score_cloud(np.zeros((1, 3)), site.search[0], [1], frame=-5),
             "boxes: hold frame .*; allowed: one vehicle or more, of the frame",
         ),
     ],

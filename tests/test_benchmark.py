@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -40,7 +41,7 @@ def case():
     vehicles = dense_traffic(vehicles=40, length_m=90.0)
     near = np.hypot(*vehicles.centre_m[:, :2].T) < 30.0
     lattice = beam_lattice(load_model("RS-16"), stride=8)
-    return FrameCase(vehicles, near, lattice, Pose(0.5, -0.5, 4.2, 0.35), GATE_M, "body", 0.05)
+    return FrameCase(replace(vehicles, counted=near), lattice, Pose(0.5, -0.5, 4.2, 0.35), GATE_M, "body", 0.05)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +86,7 @@ def test_every_caster_scores_the_frame_as_exact_does_whole_by_stage_and_without_
 
 def test_the_survivors_are_all_beams_that_meet_a_counted_vehicle(case, oracle):
     met = oracle.triangle
-    of_counted = np.flatnonzero((met >= 0) & case.counted[case.triangles.owner[met]])
+    of_counted = np.flatnonzero((met >= 0) & case.vehicles.counted[case.triangles.owner[met]])
     assert len(of_counted)
     assert np.isin(of_counted, case.survivors).all()
     assert len(case.survivors) < len(case.directions)

@@ -300,7 +300,7 @@ def test_vehicles_that_are_left_out_are_neither_there_nor_counted(tmp_path):
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     before, ids = lidar.blender_lidar.vehicles, session.vehicles_of(scene).vehicle_id
     counted = session.live_frame(scene, lidar).frame
-    out = int(counted.vehicles.vehicle_id[counted.counted][0])
+    out = int(counted.vehicle_id[counted.counted][0])
     scene.blender_lidar.traffic.leave_out = f"{out}"
     assert scenarios.scenario_from(scene).traffic.leave_out == (out,)
     assert set(session.vehicles_of(scene).vehicle_id) == set(ids) - {out}

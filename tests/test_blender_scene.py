@@ -21,7 +21,7 @@ from blender_lidar.road.road_map import wrap_angle
 from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic import Recording, RepairReport
-from blender_lidar.traffic.boxes import DetectedBoxes, corners_of
+from blender_lidar.traffic.boxes import corners_of, detected_boxes
 from blender_lidar.traffic.fleet import BODIES
 from blender_lidar.world.blender import traffic
 from blender_lidar.world.blender.objects import DISPLAY_ONLY, build_lidar, role, sensor_matrix
@@ -355,8 +355,8 @@ def test_a_site_that_cannot_be_read_is_refused_in_one_line(tmp_path):
 
 
 def test_a_built_animation_plays_at_true_speed_from_its_first_frame_on(tmp_path):
-    made = drives().where(drives().frame < 30)
-    save_blend(tmp_path / "scene.blend", replace(moment(made.vehicles(10), cloud=False), since_s=7.0), made)
+    made = drives().select(drives().frame < 30)
+    save_blend(tmp_path / "scene.blend", replace(moment(made.at(10), cloud=False), since_s=7.0), made)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
     scene = bpy.context.scene
     assert (scene.render.fps, scene.frame_start, scene.frame_end, scene.frame_current) == (24, 1, 25, 1)
@@ -429,7 +429,7 @@ def boxes_about(vehicles, seed=1):
     off = rng.normal(0.0, 0.3, (count, 3))
     kind = rng.integers(0, 3, count).astype(np.int8)
     heading = vehicles.heading_rad + rng.normal(0.0, 0.2, count)
-    return DetectedBoxes(vehicles.centre_m + off, vehicles.size_m * 1.1, heading, kind, rng.random(count))
+    return detected_boxes(vehicles.centre_m + off, vehicles.size_m * 1.1, heading, kind, rng.random(count))
 
 
 def check_wire_boxes(item, boxes):

@@ -279,7 +279,7 @@ def awkward_mountings():
 def seen_awkwardly(caster, behind_scenery):
     """What is seen from all awkward mountings together."""
     scenery = StandingScenery(SCENERY, caster) if behind_scenery else None
-    return FrameScorer(TRAFFIC, EVERYONE, seen(caster, scenery=scenery)).see(singles(awkward_mountings()))
+    return FrameScorer(TRAFFIC, seen(caster, scenery=scenery)).see(singles(awkward_mountings()))
 
 
 @pytest.mark.parametrize("behind_scenery", [False, True])
@@ -294,7 +294,7 @@ def test_awkward_mountings_seen_together_see_what_the_oracle_sees(caster, behind
 @pytest.mark.parametrize("caster", EVERY)
 def test_a_lidar_inside_a_vehicle_sees_that_vehicle_alone(caster):
     inside = awkward_mountings()[0]
-    points = FrameScorer(TRAFFIC, EVERYONE, seen(caster)).see(singles([inside])).points[0]
+    points = FrameScorer(TRAFFIC, seen(caster)).see(singles([inside])).points[0]
     assert points[0] == LATTICE.rings * LATTICE.columns
     assert points[1:].sum() == 0
 
@@ -328,7 +328,7 @@ def test_a_road_frame_far_from_its_origin_is_scanned_and_scored_as_one_at_it(cas
     np.testing.assert_allclose(far.range_m, near.range_m, atol=1e-6)
     np.testing.assert_allclose(far.xyz - away, near.xyz, atol=1e-6)
     points = [
-        FrameScorer(vehicles, EVERYONE, seen(caster)).see(singles([mount])).points
+        FrameScorer(vehicles, seen(caster)).see(singles([mount])).points
         for vehicles, mount in ((TRAFFIC, pose), (moved(TRAFFIC, away), there))
     ]
     np.testing.assert_array_equal(*points)
@@ -367,6 +367,6 @@ def test_a_vehicle_that_no_ray_could_meet_is_named(column, value, says):
     broken = dataclasses.replace(TRAFFIC, **{column: getattr(TRAFFIC, column).copy()})
     getattr(broken, column)[2] = value
     with pytest.raises(InputError, match=says):
-        FrameScorer(broken, EVERYONE, seen("exact"))
+        FrameScorer(broken, seen("exact"))
     with pytest.raises(InputError, match=says):
         scan(broken, LATTICE, Pose(height_m=3.0), caster="exact", max_range_m=50.0)

@@ -120,7 +120,7 @@ def test_clutter_takes_returns_from_vehicles_and_gives_none_to_any(sites):
     mount = sites[0].scenario.baseline
     returns = []
     for site in sites:
-        clouds = [sensor_at(site, mount).scan(frame.vehicles) for frame in site.search]
+        clouds = [sensor_at(site, mount).scan(frame) for frame in site.search]
         returns.append([np.unique(cloud.vehicle_id, return_counts=True) for cloud in clouds])
     clean, cluttered = (sum(count[vehicle >= 0].sum() for vehicle, count in each) for each in returns)
     assert cluttered < 0.97 * clean
@@ -133,8 +133,8 @@ def test_walkers_return_as_no_vehicle_where_they_are_at_the_time_of_the_frame(si
     site = sites[1]
     returns = []
     for frame in site.search[:3]:
-        cloud = sensor_at(site, site.scenario.baseline).scan(frame.vehicles)
-        standing = site.observation.scenery.at(frame.vehicles.time_s).with_walkers
+        cloud = sensor_at(site, site.scenario.baseline).scan(frame)
+        standing = site.observation.scenery.at(frame.time_s).with_walkers
         for row in np.flatnonzero(np.isin(standing.names, ["pedestrian", "cyclist"])):
             corners = standing.corners[standing.owner == row].reshape(-1, 3)
             near = ((cloud.xyz > corners.min(axis=0) - 0.01) & (cloud.xyz < corners.max(axis=0) + 0.01)).all(axis=1)
@@ -150,11 +150,9 @@ def test_scores_see_vehicles_behind_clutter_and_walkers_as_clouds_do(compiled, s
     site = sites[1]
     mount = site.scenario.baseline
     for frame in site.search[:3]:
-        cloud = sensor_at(site, mount).scan(frame.vehicles)
-        expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
-        seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, site.observation).see(
-            frame_scorer.singles([mount.pose])
-        )
+        cloud = sensor_at(site, mount).scan(frame)
+        expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicle_id[frame.counted]]
+        seen = frame_scorer.FrameScorer(frame, site.observation).see(frame_scorer.singles([mount.pose]))
         np.testing.assert_array_equal(seen.points[0], expected)
 
 

@@ -70,7 +70,7 @@ def hung(sensor: str, frame: int = 0, table=None, **settings):
     site = scene(sensor__name=sensor, **settings)
     table = {"height_m": 4.2, "tilt_x_deg": 12.0, "tilt_y_deg": -1.5, "yaw_deg": 4.0, **(table or {})}
     mounting = mounting_from(table, site.scenario.road_map, site.scenario.baselines[0])
-    return mounting.pose.to_sensor(sensor_at(site, mounting).scan(site.search[frame].vehicles).xyz), mounting
+    return mounting.pose.to_sensor(sensor_at(site, mounting).scan(site.search[frame]).xyz), mounting
 
 
 def fans(model, seed: int) -> np.ndarray:
@@ -233,7 +233,7 @@ def test_a_crown_that_traffic_on_one_side_hides_widens_the_interval():
     table = {"height_m": 4.2, "tilt_x_deg": 12.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
     mounting = mounting_from(table, site.scenario.road_map, site.scenario.baselines[0])
     for count in (0, 6):
-        vehicles = site.search[0].vehicles
+        vehicles = site.search[0]
         near = np.argsort(vehicles.centre_m[:, 1])[:count]
         points = mounting.pose.to_sensor(sensor_at(site, mounting).scan(vehicles.select(near)).xyz)
         fit = commission([points], ["cloud"]).fit
@@ -358,7 +358,7 @@ def run_of_two(tmp_path_factory):
         tilt_x_deg=math.degrees(planned.tilt_x) - 3.0,
     )
     for number, frame in enumerate(site.search[:3]):
-        points = hangs.pose.to_sensor(sensor_at(site, hangs).scan(frame.vehicles).xyz)
+        points = hangs.pose.to_sensor(sensor_at(site, hangs).scan(frame).xyz)
         np.savez(folder / f"cloud_{number}.npz", xyz=points)
     return folder
 

@@ -48,12 +48,9 @@ PLAIN = Setup(details=("body",), caster=CASTER, pose=Pose(height_m=HEIGHT_M))
 def frame_of(vehicles, cloud, which=None, label=None) -> RecordedFrame:
     """A cloud and the labels of its vehicles, or of some of them."""
     boxes = LabelledBoxes(
-        vehicles.vehicle_id,
-        vehicles.class_name if label is None else np.array(label),
-        shape_names(vehicles),
-        vehicles.centre_m,
-        vehicles.size_m,
-        vehicles.heading_rad,
+        **vehicles.columns() | {"frame": vehicles.frame, "time_s": vehicles.time_s},
+        label=vehicles.class_name if label is None else np.array(label),
+        shape=shape_names(vehicles),
     )
     return RecordedFrame(str(vehicles.frame), "here", cloud.xyz, boxes if which is None else boxes.select(which))
 
@@ -101,7 +98,7 @@ def test_the_columns_are_those_of_the_metric(bodies, paired):
     local = np.column_stack([cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0], away[:, 2]])
     half = 0.5 * boxes.size_m[row]
     mine = (np.abs(local) <= half + 0.05).all(axis=1) & (local[:, 2] >= 0.15 - half[2])
-    at = np.flatnonzero((of["frame"] == frame.name) & (of["vehicle_id"] == boxes.number[row]))[0]
+    at = np.flatnonzero((of["frame"] == frame.name) & (of["vehicle_id"] == boxes.vehicle_id[row]))[0]
     size, first = boxes.size_m[row : row + 1], np.zeros(int(mine.sum()), dtype=int)
     assert of["real_points"][at] == mine.sum() > 100
     assert of["real_entropy_bits"][at] == pytest.approx(pe_vgop(local[mine], first, size)[0])

@@ -156,7 +156,7 @@ def compiled_for(casters):
     for caster in casters:
         scenery = StandingScenery(barrier("concrete", 10.0, (-40.0, 40.0)), caster)
         seen = Observation((Lidar(lattice, 50.0, 0.4),), caster, "box", 0.05, scenery=scenery)
-        scorer = FrameScorer(vehicles, np.ones(len(vehicles), dtype=bool), seen)
+        scorer = FrameScorer(vehicles, seen)
         scorer.see(singles([pose]))
         scorer.see(singles([pose]), keep_returns=True)
         pe_vgop(*scorer.vehicle_points(pose), vehicles.size_m)

@@ -80,8 +80,8 @@ def test_counted_are_those_in_the_region_about_the_lidar(plan):
     for one in samples(plan, range(6)):
         xy = one.vehicles.centre_m[:, :2]
         inside = np.hypot(*xy.T) <= 12.0
-        assert (one.counted == (inside & one.labelled)).all()
-        assert one.counted.any()
+        assert (one.vehicles.counted == (inside & one.labelled)).all()
+        assert one.vehicles.counted.any()
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -112,10 +112,10 @@ def test_moved_traffic_looks_as_it_does_to_a_lidar_that_is_moved_the_other_way(p
 
 
 def test_headings_turn_with_the_mirror():
-    from blender_lidar.traffic.vehicles import Vehicles
+    from blender_lidar.traffic.boxes import Boxes
 
     n = np.zeros(2)
-    vehicles = Vehicles(1, 0.0, n.astype(int), n.astype(int), np.array([[5.0, 1, 1], [6, 2, 1]]), np.ones((2, 3)), n, n)
+    vehicles = Boxes(1, 0.0, n.astype(int), n.astype(int), np.array([[5.0, 1, 1], [6, 2, 1]]), np.ones((2, 3)), n, n)
     vehicles = replace(vehicles, heading_rad=np.radians([10.0, -170.0]))
     turned = dataset._moved(vehicles, 2.0, True, np.array([1.0, 0.0]))
     np.testing.assert_allclose(np.degrees(turned.heading_rad), [170.0, -10.0])

@@ -335,13 +335,13 @@ def test_the_picture_shows_what_was_matched_in_the_median_frame_and_is_on_the_pa
     share = f"finds {100 * result['mountings']['given']['recall_0.3']:.1f} % of the vehicles"
     assert share in " ".join(out.split())
     frame, (baseline, given), title, subtitle = shown
-    assert title == f"RS-16: what the detector classical finds in frame {frame.vehicles.frame}"
+    assert title == f"RS-16: what the detector classical finds in frame {frame.frame}"
     assert subtitle.endswith("held-out frames; confidence 0.3 or more, hits within 2 m")
     assert (baseline.name, given.name, given.layout[0].height_m) == ("Baseline", "Given", 4.5)
     rows = np.genfromtxt(tmp_path / "run" / "vehicles.csv", delimiter=",", names=True, dtype=None, encoding=None)
     counts = np.sort(np.unique(rows["frame"][rows["split"] == "holdout"], return_counts=True)[1])
     assert frame.counted.sum() == counts[len(counts) // 2]
-    of_frame = frame.vehicles.centre_m[given.vehicle[given.vehicle >= 0], :2]
+    of_frame = frame.centre_m[given.vehicle[given.vehicle >= 0], :2]
     away = np.linalg.norm(given.boxes.centre_m[given.vehicle >= 0, :2] - of_frame, axis=1)
     assert len(away) > 0
     assert (away <= 2.0).all()

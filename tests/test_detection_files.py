@@ -13,14 +13,14 @@ from blender_lidar.clouds.files import levelled
 from blender_lidar.detection.files import kitti_camera, read_detected, write_detected, write_kitti_labels
 from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.traffic.boxes import KINDS, DetectedBoxes, corners_of
+from blender_lidar.traffic.boxes import KINDS, corners_of, detected_boxes
 
 POSE = Pose(3.0, -2.0, 4.5, math.radians(20.0), 0.0, math.radians(35.0))
 
 
 def random_boxes(count, seed):
     rng = np.random.default_rng(seed)
-    return DetectedBoxes(
+    return detected_boxes(
         rng.uniform(-50, 50, (count, 3)),
         rng.uniform(0.5, 12, (count, 3)),
         rng.uniform(-math.pi, math.pi, count),

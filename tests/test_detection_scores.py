@@ -22,19 +22,18 @@ from blender_lidar.detection.scores import (
     precision,
     recall,
 )
-from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.scene.region import Region
 from blender_lidar.traffic.boxes import (
     KINDS,
-    DetectedBoxes,
+    Boxes,
     bev_iou,
     corners_of,
+    detected_boxes,
     join_boxes,
-    kind_of,
     no_boxes,
     suppressed,
 )
-from blender_lidar.traffic.vehicles import CLASSES, Vehicles
+from blender_lidar.traffic.vehicles import CLASSES
 
 REGION = Region((0.0, 0.0), 50.0)
 CENTRE, HALF, MOST = CRITERIA
@@ -42,7 +41,7 @@ CENTRE, HALF, MOST = CRITERIA
 
 def frame_of(places, counted=None, classes=None):
     count = len(places)
-    vehicles = Vehicles(
+    vehicles = Boxes(
         frame=0,
         time_s=0.0,
         vehicle_id=np.arange(count),
@@ -52,12 +51,12 @@ def frame_of(places, counted=None, classes=None):
         heading_rad=np.zeros(count),
         lane=np.zeros(count, int),
     )
-    return CountedFrame(vehicles, np.ones(count, dtype=bool) if counted is None else np.array(counted))
+    return replace(vehicles, counted=np.ones(count, dtype=bool) if counted is None else np.array(counted))
 
 
 def boxes_at(places, confidence, kind=None):
     count = len(places)
-    return DetectedBoxes(
+    return detected_boxes(
         np.column_stack([np.array(places, dtype=float).reshape(-1, 2), np.full(count, 0.75)]),
         np.tile([4.5, 1.8, 1.5], (count, 1)),
         np.zeros(count),
@@ -292,9 +291,9 @@ OCTAGON = 4 - 2 * (2**0.5 - 1) ** 2  # a square on its corner less the two that 
 
 
 def boxes_of(rows, confidence=None):
-    """DetectedBoxes from rows of x, y, length, width, heading [degrees]."""
+    """Boxes from rows of x, y, length, width, heading [degrees]."""
     x, y, length, width, heading = np.array(rows, dtype=float).reshape(-1, 5).T
-    return DetectedBoxes(
+    return detected_boxes(
         np.column_stack([x, y, np.full_like(x, 0.75)]),
         np.column_stack([length, width, np.full_like(x, 1.5)]),
         np.radians(heading),
@@ -363,7 +362,8 @@ def test_the_surest_of_those_that_overlap_stays():
 
 
 def test_every_class_has_a_kind():
-    kinds = [KINDS[kind] if kind >= 0 else None for kind in kind_of(np.arange(len(CLASSES)))]
+    each = replace(no_boxes(), class_index=np.arange(len(CLASSES)))
+    kinds = [KINDS[kind] if kind >= 0 else None for kind in each.kind]
     assert dict(zip(CLASSES, kinds, strict=True)) == {
         "car": "car",
         "van": "car",

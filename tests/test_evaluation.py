@@ -26,7 +26,7 @@ from blender_lidar.errors import InputError, WorkerError
 from blender_lidar.run.vehicle_table import VEHICLE_COLUMNS, distance_bands, lanes, vehicle_table
 from blender_lidar.run.verdict import judge
 from blender_lidar.scene.mounting import Mounting
-from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.settings import ModelSettings
 from blender_lidar.scoring.evaluation import Evaluator, Totals, mapped_by, workplace_of
 from blender_lidar.scoring.fidelity import Fidelity, coarse_observation
@@ -125,7 +125,7 @@ def test_a_mounting_has_the_same_score_whatever_else_is_asked(alone, pair):
 
 def test_totals_are_the_sums_of_equations_10_and_11_over_each_frame(alone):
     for column, frame in enumerate(FRAMES):
-        seen = FrameScorer(frame.vehicles, frame.counted, SEEN).see(singles(POSES))
+        seen = FrameScorer(frame, SEEN).see(singles(POSES))
         for row in range(len(POSES)):
             bits, found = 0.0, 0
             for shares in seen.occupancy[row].tolist():
@@ -165,7 +165,7 @@ def test_more_workers_than_frames_and_no_frames_are_fine():
         assert evaluator.totals(LAYOUTS).objective.shape == (3, 1)
     with Evaluator([], SEEN, SCORING, workers=2) as evaluator:
         assert evaluator.totals(LAYOUTS).objective.shape == (3, 0)
-    nothing = CountedFrame(FRAMES[0].vehicles, np.zeros(len(FRAMES[0].vehicles), dtype=bool))
+    nothing = replace(FRAMES[0], counted=np.zeros(len(FRAMES[0]), dtype=bool))
     with Evaluator([nothing, FRAMES[0]], SEEN, SCORING) as evaluator:
         assert evaluator.totals(LAYOUTS).objective[:, 0].tolist() == [0.0, 0.0, 0.0]
 
@@ -373,7 +373,7 @@ def test_the_vehicle_table_adds_up_to_the_totals(alone):
 def test_both_splits_stand_in_one_table_and_frames_in_which_nobody_counts_in_none():
     searched, held_out = FRAMES[:2], FRAMES[2:3]
     alone = vehicle_table(LAYOUTS[0], search=Evaluator(searched, SEEN, SCORING))
-    nobody = CountedFrame(FRAMES[0].vehicles, np.zeros(len(FRAMES[0].vehicles), dtype=bool))
+    nobody = replace(FRAMES[0], counted=np.zeros(len(FRAMES[0]), dtype=bool))
     for empty in ([], [nobody]):
         evaluator = Evaluator(searched, SEEN, SCORING, held_out=empty)
         table = vehicle_table(LAYOUTS[0], search=evaluator, holdout=evaluator.held_out)
@@ -437,7 +437,7 @@ def test_the_verdict_is_the_gain_over_the_baseline_on_held_out_frames(alone):
 
 
 def test_a_verdict_without_held_out_vehicles_or_with_few_blocks_says_so():
-    nobody = CountedFrame(FRAMES[0].vehicles, np.zeros(len(FRAMES[0].vehicles), dtype=bool))
+    nobody = replace(FRAMES[0], counted=np.zeros(len(FRAMES[0]), dtype=bool))
     assert verdict([], [])["optimised"]["holdout"] is None
     assert verdict([nobody], [0])["optimised"]["holdout"] is None
     assert verdict(counted_frames(2, seed=50), [0, 1])["optimised"]["holdout"]["interval_90"] is None

@@ -20,7 +20,7 @@ from blender_lidar.metrics.assignment import NO_BOX
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.traffic.boxes import DetectedBoxes
+from blender_lidar.traffic.boxes import detected_boxes
 from tests.sample_traffic import dense_traffic, scan
 
 KITTI = Path(__file__).parents[2] / "shared" / "data" / "kitti"
@@ -188,7 +188,7 @@ def detections(recall=0.7, false_alarms=1, seed=0, centre=lambda c: c, heading=l
         turn += rng.choice([0.0, np.pi], len(turn)) + rng.normal(0.0, 0.03, len(turn))
         sizes = np.concatenate([seen.size_m, np.full((false_alarms, 3), (4.5, 1.8, 1.5))])
         none = np.zeros(len(turn))
-        return DetectedBoxes(centre(xyz), size(sizes), heading(turn), none.astype(np.int8), none + 0.5)
+        return detected_boxes(centre(xyz), size(sizes), heading(turn), none.astype(np.int8), none + 0.5)
 
     return [of(vehicles) for vehicles in FRAMES]
 

@@ -154,7 +154,7 @@ def test_heights_of_their_own_stay_and_those_of_a_class_are_scaled():
     usual, higher = (with_variety(table([height] * 3), 1.0, 1).size_m[:, 2] for height in (HEIGHTS_M["car"], 1.8))
     np.testing.assert_allclose(higher, usual * 1.8 / 1.5, rtol=1e-12)
     raised = table([1.5] * 3)
-    raised = raised.with_columns(centre_m=raised.centre_m + np.array([0.0, 0.0, 0.2]))
+    raised = replace(raised, centre_m=raised.centre_m + np.array([0.0, 0.0, 0.2]))
     varied = with_variety(raised, 1.0, 1)
     np.testing.assert_allclose(varied.centre_m[:, 2] - 0.5 * varied.size_m[:, 2], 0.2, atol=1e-12)
     negative = with_variety(table([1.5] * 2, np.array([-3, 7])), 1.0, 1)
@@ -164,21 +164,21 @@ def test_heights_of_their_own_stay_and_those_of_a_class_are_scaled():
 def test_a_body_is_of_the_vehicle_however_it_is_measured_in_a_frame():
     once = table([3.0] * 40, kind="truck")
     length = np.where(np.arange(len(once)) < 40, 8.95, 9.05)  # of all trucks in the first frame, and in the second
-    once = once.with_columns(size_m=np.column_stack([length, once.size_m[:, 1:]]))
+    once = replace(once, size_m=np.column_stack([length, once.size_m[:, 1:]]))
     varied = with_variety(once, 1.0, 1)
-    first, second = (shape_names(varied.vehicles(frame)) for frame in (0, 1))
+    first, second = (shape_names(varied.at(frame)) for frame in (0, 1))
     np.testing.assert_array_equal(first, second)
     assert {KIND_OF_BODY[name] for name in first} == {"truck"}
     np.testing.assert_array_equal(varied.size_m[:40, 2], varied.size_m[40:, 2])
     assert len(np.unique(varied.size_m[:, 2])) == 40
     classes = np.where(np.arange(len(once)) < 40, CLASSES.index("van"), once.class_index).astype(np.int8)
-    sometimes = with_variety(once.with_columns(class_index=classes), 1.0, 1)
-    np.testing.assert_array_equal(*(shape_names(sometimes.vehicles(frame)) for frame in (0, 1)))
+    sometimes = with_variety(replace(once, class_index=classes), 1.0, 1)
+    np.testing.assert_array_equal(*(shape_names(sometimes.at(frame)) for frame in (0, 1)))
 
 
 def test_who_has_a_height_of_its_own_has_a_body_as_high():
     height = np.repeat([1.45, 1.54, 1.62, 2.5], 100)
-    names = shape_names(with_variety(table(height), 1.0, 1).vehicles(0)).reshape(4, 100)
+    names = shape_names(with_variety(table(height), 1.0, 1).at(0)).reshape(4, 100)
     assert [set(one) for one in names] == [{"car", "hatchback"}, {"hatchback", "suv"}, {"suv"}, {"car"}]
 
 
@@ -190,10 +190,10 @@ def test_scores_see_the_same_bodies_as_clouds(compiled, sites, monkeypatch):
     mounting = site.scenario.mounting({"height_m": 4.0, "tilt_x_deg": 15.0})
     shown = set()
     for frame in site.search[:3]:
-        shown |= set(shape_names(frame.vehicles).tolist())
-        cloud = sensor_at(site, mounting).scan(frame.vehicles)
-        expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
-        seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, site.observation).see([(mounting.pose,)])
+        shown |= set(shape_names(frame).tolist())
+        cloud = sensor_at(site, mounting).scan(frame)
+        expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicle_id[frame.counted]]
+        seen = frame_scorer.FrameScorer(frame, site.observation).see([(mounting.pose,)])
         np.testing.assert_array_equal(seen.points[0], expected)
     assert {"car", "hatchback", "suv"} < shown
 

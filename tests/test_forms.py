@@ -215,7 +215,7 @@ def test_the_blend_file_has_the_cloud_of_the_scene(formed, capsys):
 
     from blender_lidar.world.blender.objects import CLOUD, role
 
-    frame = str(formed.site.search[0].vehicles.frame)
+    frame = str(formed.site.search[0].frame)
     for verb, name in (("scan", "scanned.npz"), ("build", "scene.blend")):
         words = ("--frame", frame, *formed.words(), "--out", formed.folder / name)
         code, _, err = cli(capsys, verb, formed.path, *words)

@@ -134,7 +134,7 @@ def test_points_and_occupancies_equal_those_of_the_slow_pipeline(seed, sensor, d
     counted = rng.random(8) < 0.7
     seen = observation(LATTICES[sensor], gate=20.0, near=near, detail=detail, imperfections=effects)
     pose = Pose(0.0, 0.0, height, *angles)
-    found = FrameScorer(vehicles, counted, seen).see(singles([pose]))
+    found = FrameScorer(replace(vehicles, counted=counted), seen).see(singles([pose]))
     points, shares = slow_pipeline(vehicles, counted, seen, pose)
     np.testing.assert_array_equal(found.by_lidar[0], points)
     np.testing.assert_allclose(found.occupancy[0], shares, rtol=1e-12, atol=0.0)
@@ -143,12 +143,12 @@ def test_points_and_occupancies_equal_those_of_the_slow_pipeline(seed, sensor, d
 def test_a_vehicle_that_does_not_count_still_hides_another():
     car, bus = one_vehicle("car", centre=(0.0, 12.0)), one_vehicle("bus", centre=(0.0, 7.0))
     pose, seen = Pose(height_m=2.0, tilt_x=0.1), observation()
-    alone = FrameScorer(car, everyone(car), seen).see(singles([pose])).points[0]
+    alone = FrameScorer(car, seen).see(singles([pose])).points[0]
     both = joined(car, bus)
-    behind = FrameScorer(both, np.array([True, False]), seen).see(singles([pose])).points[0]
+    behind = FrameScorer(replace(both, counted=np.array([True, False])), seen).see(singles([pose])).points[0]
     assert alone[0] > 5
     assert behind.tolist() == [0]
-    np.testing.assert_array_equal(FrameScorer(both, everyone(both), seen).see(singles([pose])).points[0, 0], behind[0])
+    np.testing.assert_array_equal(FrameScorer(both, seen).see(singles([pose])).points[0, 0], behind[0])
 
 
 @pytest.mark.parametrize("effects", [PERFECT, ROUGH], ids=["perfect", "rough"])
@@ -157,12 +157,12 @@ def test_mountings_together_and_one_by_one_and_in_any_order_see_the_same(effects
     seen = observation(LATTICES["RS-LiDAR-32"], imperfections=effects)
     rng = np.random.default_rng(3)
     poses = [Pose(0.0, 0.0, rng.uniform(2, 4.5), rng.uniform(0, 0.4)) for _ in range(5)]
-    scorer = FrameScorer(vehicles, everyone(vehicles), seen)
+    scorer = FrameScorer(vehicles, seen)
     together = scorer.see(singles(poses))
     np.testing.assert_array_equal(scorer.see(singles(poses[::-1])).occupancy[::-1], together.occupancy)
     assert (together.points.shape, together.occupancy.shape) == ((5, 40), (5, 40, 3))
     for number, pose in enumerate(poses):
-        alone = FrameScorer(vehicles, everyone(vehicles), seen).see(singles([pose]))
+        alone = FrameScorer(vehicles, seen).see(singles([pose]))
         np.testing.assert_array_equal(together.points[number], alone.points[0])
         np.testing.assert_array_equal(together.occupancy[number], alone.occupancy[0])
     assert scorer.see(singles([])).points.shape == (0, 40)
@@ -171,7 +171,7 @@ def test_mountings_together_and_one_by_one_and_in_any_order_see_the_same(effects
 def test_points_lie_on_their_vehicle_and_are_as_many_as_counted():
     vehicles, seen = dense_traffic(vehicles=40, length_m=100.0), observation()
     counted = np.random.default_rng(4).random(40) < 0.5
-    scorer = FrameScorer(vehicles, counted, seen)
+    scorer = FrameScorer(replace(vehicles, counted=counted), seen)
     local, row = scorer.vehicle_points(POSE)
     np.testing.assert_array_equal(np.bincount(row, minlength=len(scorer)), scorer.see(singles([POSE])).points[0])
     assert (np.abs(local) <= 0.5 * vehicles.size_m[counted][row] + 1e-9).all()
@@ -180,7 +180,7 @@ def test_points_lie_on_their_vehicle_and_are_as_many_as_counted():
 @pytest.mark.parametrize("vehicles", [0, 5])
 def test_a_frame_in_which_nothing_counts_has_no_points(vehicles):
     frame = dense_traffic(vehicles=vehicles, length_m=40.0)
-    scorer = FrameScorer(frame, np.zeros(vehicles, dtype=bool), observation())
+    scorer = FrameScorer(replace(frame, counted=np.zeros(vehicles, dtype=bool)), observation())
     seen = scorer.see(singles([POSE, POSE]))
     assert len(scorer) == 0
     assert (seen.points.shape, seen.occupancy.shape) == ((2, 0), (2, 0, 3))
@@ -191,7 +191,7 @@ def test_the_literal_reading_and_the_cell_reach_the_metric():
     vehicles = dense_traffic(vehicles=10, length_m=40.0)
     counted = everyone(vehicles)
     corrected, literal, coarse = (
-        FrameScorer(vehicles, counted, observation(**settings)).see(singles([POSE])).occupancy[0]
+        FrameScorer(replace(vehicles, counted=counted), observation(**settings)).see(singles([POSE])).occupancy[0]
         for settings in ({}, {"reading": "paper"}, {"cell": 0.5})
     )
     assert (literal >= corrected).all()
@@ -250,7 +250,7 @@ def test_compiled_passes_count_what_numpys_count_to_the_last_digit(caster, effec
     standing = StandingScenery(STANDING, caster) if scenery else None
     lattice = beam_lattice(load_model("RS-LiDAR-32"), stride=10)
     seen = observation(lattice, gate=60.0, near=3.0, imperfections=EFFECTS[effects], scenery=standing)
-    scorer = FrameScorer(TRAFFIC, counted, seen)
+    scorer = FrameScorer(replace(TRAFFIC, counted=counted), seen)
     slow = []
     monkeypatch.setattr(
         scorer, "returns_of", lambda pose, *hits: slow.append(pose) or FrameScorer.returns_of(scorer, pose, *hits)
@@ -267,7 +267,7 @@ def test_compiled_passes_count_what_numpys_count_to_the_last_digit(caster, effec
 @pytest.mark.usefixtures("_compiles")
 @pytest.mark.parametrize(("detail", "culled"), [("box", False), ("detailed", True)])
 def test_compiled_passes_do_so_at_every_detail_and_without_culling(detail, culled):
-    scorer = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(detail=detail, culled=culled))
+    scorer = FrameScorer(TRAFFIC, observation(detail=detail, culled=culled))
     assert_same(scorer.see(singles(POSES)), scorer.see(singles(POSES), keep_returns=True))
 
 
@@ -275,8 +275,8 @@ def test_compiled_passes_do_so_at_every_detail_and_without_culling(detail, culle
 def test_a_mounting_at_a_surface_is_left_to_the_float64_caster():
     bus, seen = one_vehicle("bus", centre=(0.0, 5.0)), observation(detail="box")
     top = Pose(0.0, 5.0, float(bus.size_m[0, 2]))
-    oracle = FrameScorer(bus, np.array([True]), replace(seen, caster="exact"))
-    assert_same(FrameScorer(bus, np.array([True]), seen).see(singles([top])), oracle.see(singles([top])))
+    oracle = FrameScorer(bus, replace(seen, caster="exact"))
+    assert_same(FrameScorer(bus, seen).see(singles([top])), oracle.see(singles([top])))
 
 
 @pytest.mark.usefixtures("_compiles")
@@ -287,9 +287,9 @@ def test_a_beam_along_the_edge_of_what_hides_it_is_left_to_the_float64_caster(ca
     level = Pose(height_m=2.0, tilt_x=math.radians(1.0))  # the ring at 1 degree looks along the top
     seen = observation(lattice, scenery=StandingScenery(structure("wall", corners), caster))
     oracle = replace(seen, caster="exact", scenery=StandingScenery(structure("wall", corners), "exact"))
-    found = FrameScorer(bus, np.array([True]), seen).see(singles([level]))
+    found = FrameScorer(bus, seen).see(singles([level]))
     assert found.points[0, 0] > 100
-    assert_same(found, FrameScorer(bus, np.array([True]), oracle).see(singles([level])))
+    assert_same(found, FrameScorer(bus, oracle).see(singles([level])))
 
 
 def test_beams_that_meet_but_the_margin_of_a_triangle_are_decided_in_float64(caster):
@@ -303,11 +303,11 @@ def test_beams_that_meet_but_the_margin_of_a_triangle_are_decided_in_float64(cas
         car = one_vehicle("car", centre=(3.0 * math.tan(azimuth) - 2.0, 3.9), size=[4.0, 1.8, 1.5])
         both = joined(car, one_vehicle("car", centre=(200.0, 200.0)))
         seen = observation(lattice, near=0.0, detail="box")
-        scorer, rays = FrameScorer(both, everyone(both), seen), []
+        scorer, rays = FrameScorer(both, seen), []
         tree, decide = scorer.shapes.tree, scorer.shapes.tree.decide
         tree.decide = lambda *given, decide=decide, rays=rays: rays.append(len(given[1])) or decide(*given)
         found = scorer.see(singles([pose]))
-        assert_same(found, FrameScorer(both, everyone(both), replace(seen, caster="exact")).see(singles([pose])))
+        assert_same(found, FrameScorer(both, replace(seen, caster="exact")).see(singles([pose])))
         decided += sum(rays)
         points.append(int(found.points[0, 0]))
     assert decided > 0
@@ -324,7 +324,7 @@ def test_a_scan_that_is_scored_has_the_scorers_occupancy_to_the_last_bit(caster,
     lattice, pose = beam_lattice(load_model("RS-80"), stride=12), Pose(0.3, -0.2, 4.1, 0.3, 0.02, 0.1)
     standing = StandingScenery(STANDING, caster) if scenery else None
     how = {"scenery": standing, "imperfections": EFFECTS[effects]}
-    seen = FrameScorer(TRAFFIC, everyone(TRAFFIC), observation(lattice, detail=detail, **how)).see(singles([pose]))
+    seen = FrameScorer(TRAFFIC, observation(lattice, detail=detail, **how)).see(singles([pose]))
     cloud = scan(TRAFFIC, lattice, pose, caster=caster, detail=detail, min_range_m=0.4, max_range_m=50.0, **how)
     write_npz(tmp_path / "cloud.npz", cloud, {})
     for points, vehicle_id in ((cloud.xyz, cloud.vehicle_id), read_points(tmp_path / "cloud.npz")):
@@ -349,9 +349,9 @@ def test_two_lidars_see_the_union_that_numpy_gets_from_concatenated_points(caste
     standing = StandingScenery(STANDING, caster) if scenery else None
     first = observation(LATTICES["RS-16"], gate=60.0, imperfections=EFFECTS[effects], scenery=standing)
     second = observation(LATTICES["a unit of RS-80"], gate=40.0, near=3.0, scenery=standing)
-    counted = np.random.default_rng(1).random(len(TRAFFIC)) < 0.7
-    both = FrameScorer(TRAFFIC, counted, together(first, second))
-    singly = [FrameScorer(TRAFFIC, counted, each) for each in (first, second)]
+    frame = replace(TRAFFIC, counted=np.random.default_rng(1).random(len(TRAFFIC)) < 0.7)
+    both = FrameScorer(frame, together(first, second))
+    singly = [FrameScorer(frame, each) for each in (first, second)]
     layouts = [(pose, SECOND) for pose in POSES] + [(SECOND, pose) for pose in POSES]
     found = both.see(layouts)
     for row, layout in enumerate(layouts):
@@ -360,14 +360,14 @@ def test_two_lidars_see_the_union_that_numpy_gets_from_concatenated_points(caste
         np.testing.assert_array_equal(found.points[row], np.bincount(rows, minlength=len(both)))
         np.testing.assert_array_equal(found.occupancy[row], occupancy(local, rows, both.vehicles.size_m))
     assert_same(found, both.see(layouts, keep_returns=True))
-    turned = FrameScorer(TRAFFIC, counted, together(second, first)).see([layout[::-1] for layout in layouts])
+    turned = FrameScorer(frame, together(second, first)).see([layout[::-1] for layout in layouts])
     assert_same(turned, found)
 
 
 def test_two_equal_lidars_in_one_place_occupy_what_one_does():
     seen = observation(imperfections=ROUGH)
-    one = FrameScorer(TRAFFIC, everyone(TRAFFIC), seen).see(singles(POSES))
-    two = FrameScorer(TRAFFIC, everyone(TRAFFIC), together(seen, seen)).see([(pose, pose) for pose in POSES])
+    one = FrameScorer(TRAFFIC, seen).see(singles(POSES))
+    two = FrameScorer(TRAFFIC, together(seen, seen)).see([(pose, pose) for pose in POSES])
     np.testing.assert_array_equal(two.occupancy, one.occupancy)
     np.testing.assert_array_equal(two.points, 2 * one.points)
 
@@ -379,9 +379,9 @@ def test_lidars_with_one_seed_and_other_names_draw_apart_and_of_their_own():
     noise = [lidar.measurement(7).noise_m for lidar in lidars]
     np.testing.assert_array_equal(noise[0], rough.measurement(LATTICES["RS-16"], 7, 0.4, 50.0).noise_m)
     assert all((one != other).mean() > 0.99 for one, other in itertools.combinations(noise, 2))
-    alone = FrameScorer(TRAFFIC, everyone(TRAFFIC), replace(observation(), lidars=(lidars[1],)))
+    alone = FrameScorer(TRAFFIC, replace(observation(), lidars=(lidars[1],)))
     for neighbour in (lidars[0], lidars[2]):
-        both = FrameScorer(TRAFFIC, everyone(TRAFFIC), replace(observation(), lidars=(neighbour, lidars[1])))
+        both = FrameScorer(TRAFFIC, replace(observation(), lidars=(neighbour, lidars[1])))
         far = Pose(height_m=900.0)  # which sees nothing
         np.testing.assert_array_equal(both.see([(far, POSE)]).points, alone.see([(POSE,)]).points)
 
@@ -406,7 +406,7 @@ def layout_of(effects=PERFECT, names=("north", "south", "east"), **more):
 def test_several_lidars_occupy_the_union_of_the_cells_of_the_slow_pipeline(seed, effects, lidars):
     vehicles, counted = dense_traffic(seed=seed, vehicles=8, length_m=30.0), np.random.default_rng(seed).random(8) < 0.7
     seen, poses = layout_of(effects, tuple(NAMED)[:lidars]), CORNERS[:lidars]
-    found = FrameScorer(vehicles, counted, seen).see([poses])
+    found = FrameScorer(replace(vehicles, counted=counted), seen).see([poses])
     points, shares = slow_pipeline(vehicles, counted, seen, *poses)
     np.testing.assert_array_equal(found.by_lidar[0], points)
     np.testing.assert_allclose(found.occupancy[0], shares, rtol=1e-12, atol=0.0)
@@ -417,24 +417,24 @@ def test_a_lidar_that_is_held_is_cast_once_and_seen_as_if_cast_with_every_layout
     moved = [replace(CORNERS[1], height_m=height) for height in (2.0, 3.0, 4.0, 6.0)]
     batches = [[(CORNERS[0], pose, CORNERS[2]) for pose in moved], [(pose, CORNERS[1], None) for pose in moved]]
     batches += [[(moved[0], pose, other) for pose, other in zip(moved, reversed(moved), strict=True)], batches[0]]
-    scorer = FrameScorer(vehicles, everyone(vehicles), seen)
+    scorer = FrameScorer(vehicles, seen)
     for batch in batches:
         together_seen = scorer.see(batch)
         for row, layout in enumerate(batch):
-            alone = FrameScorer(vehicles, everyone(vehicles), seen).see([layout])
+            alone = FrameScorer(vehicles, seen).see([layout])
             np.testing.assert_array_equal(together_seen.by_lidar[row], alone.by_lidar[0])
             np.testing.assert_array_equal(together_seen.occupancy[row], alone.occupancy[0])
 
 
 def test_a_layout_without_some_of_its_lidars_sees_what_the_others_see_without_them():
     vehicles, seen = dense_traffic(vehicles=30, length_m=80.0), layout_of(ROUGH)
-    scorer = FrameScorer(vehicles, everyone(vehicles), seen)
+    scorer = FrameScorer(vehicles, seen)
     north, south, east = CORNERS
     batch = [(north, None, None), (None, south, None), (north, None, east), (None, None, None), (north, south, east)]
     found = scorer.see(batch)
     for row, names in enumerate((["north"], ["south"], ["north", "east"])):
         hung = [pose for pose in batch[row] if pose is not None]
-        alone = FrameScorer(vehicles, everyone(vehicles), layout_of(ROUGH, names)).see([hung])
+        alone = FrameScorer(vehicles, layout_of(ROUGH, names)).see([hung])
         np.testing.assert_array_equal(found.points[row], alone.points[0])
         np.testing.assert_array_equal(found.occupancy[row], alone.occupancy[0])
     assert not found.points[3].any()
@@ -445,8 +445,8 @@ def test_a_layout_without_some_of_its_lidars_sees_what_the_others_see_without_th
 
 def test_the_order_of_the_lidars_changes_nothing():
     vehicles = dense_traffic(vehicles=30, length_m=80.0)
-    one = FrameScorer(vehicles, everyone(vehicles), layout_of(ROUGH)).see([CORNERS])
+    one = FrameScorer(vehicles, layout_of(ROUGH)).see([CORNERS])
     turned = layout_of(ROUGH, ("east", "north", "south"))
-    other = FrameScorer(vehicles, everyone(vehicles), turned).see([(CORNERS[2], CORNERS[0], CORNERS[1])])
+    other = FrameScorer(vehicles, turned).see([(CORNERS[2], CORNERS[0], CORNERS[1])])
     np.testing.assert_array_equal(one.occupancy, other.occupancy)
     np.testing.assert_array_equal(one.by_lidar[0], other.by_lidar[0][[1, 2, 0]])

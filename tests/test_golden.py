@@ -52,7 +52,7 @@ METHODS = ("hardened", "de-pso", "grid", "random")
 
 def scored(site, frame, poses):
     """Points (s, n), occupancies (s, n, 3) and what each vehicle adds to the objective (s, n), of s mountings."""
-    scorer = FrameScorer(frame.vehicles, frame.counted, site.observation)
+    scorer = FrameScorer(frame, site.observation)
     scores = VehicleScores(site.scoring, site.observation, site.search)
     of = scores.of(frame, scorer, singles(poses))
     return of.seen.points, of.seen.occupancy, of.objective
@@ -121,8 +121,8 @@ def hits(folder: Path, caster: str, frames: int = 3, mountings: int = 40, **chan
     for frame in site.search[:frames]:
         points, occupancy, objective = scored(site, frame, poses)
         sums = {"occupancy": occupancy.reshape(len(poses), -1), "objective": objective.sum(axis=1)}
-        columns = {"vehicle_id": frame.vehicles.vehicle_id[frame.counted], "points": points, **sums}
-        found.append({"frame": int(frame.vehicles.frame), **{name: of.tolist() for name, of in columns.items()}})
+        columns = {"vehicle_id": frame.vehicle_id[frame.counted], "points": points, **sums}
+        found.append({"frame": int(frame.frame), **{name: of.tolist() for name, of in columns.items()}})
     return {"frame_ids": [int(frame) for frame in site.plan.search], "frames": found}
 
 

@@ -71,7 +71,7 @@ HUNG = {"height_m": 4.0, "tilt_x_deg": 12.0}
 
 
 def cloud_of(scenario, frame, **hung):
-    vehicles = next(one.vehicles for one in prepare(scenario).search if one.vehicles.frame >= frame)
+    vehicles = next(one for one in prepare(scenario).search if one.frame >= frame)
     return mounted_sensors(scenario, (scenario.mounting({**HUNG, **hung}),))[0].scan(vehicles)
 
 
@@ -88,7 +88,7 @@ def test_a_mast_and_the_vehicles_stand_on_the_slope(tmp_path):
     assert mounting.mast.foot_m[2] == pytest.approx(62.0, abs=1e-6)
     assert mounting.pose.position[2] == pytest.approx(66.0, abs=1e-6)
     for frame in site.search:
-        centre = frame.vehicles.centre_m
+        centre = frame.centre_m
         np.testing.assert_allclose(centre[:, 2], 62.0 + RISE * centre[:, 0] + 0.75, atol=1e-9)
 
 

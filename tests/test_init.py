@@ -275,7 +275,7 @@ def test_mirrored_traffic_gives_a_mirrored_scene_and_the_same_result(back, tmp_p
         site = prepare(scenario)
         low, high = scenario.region.stretches[0].x_m
         for frame in (*site.search, *site.holdout):
-            inside = (frame.vehicles.centre_m[:, 0] >= low) & (frame.vehicles.centre_m[:, 0] <= high)
+            inside = (frame.centre_m[:, 0] >= low) & (frame.centre_m[:, 0] <= high)
             assert frame.counted.sum() == inside.sum() > 0
         ways = {round(math.cos(math.radians(float(row["heading_deg"])))) for row in rows}
         assert ways == ({1, -1} if back else {1})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -75,7 +76,7 @@ def random_rays(rng, count=4000):
 def test_every_caster_meets_instances_as_exact_meets_the_merged_triangles(caster):
     vehicles, bodies = traffic(), OwnBodies(BODIES)
     assert {"car", "truck"} <= {CLASSES[index] for index in vehicles.class_index}
-    tree = FrameShapes(vehicles, np.ones(len(vehicles), bool), "body", caster, bodies).tree
+    tree = FrameShapes(vehicles, "body", caster, bodies).tree
     corners = merged(vehicles, bodies)
     oracle = caster_class("exact")(corners)
     origins, rays = random_rays(np.random.default_rng(3))
@@ -100,7 +101,7 @@ def test_casters_agree_on_clouds_and_scores_to_the_last_digit(caster):
     found = []
     for name, culled in ((caster, True), ("exact", False)):
         seen = Observation((Lidar(LATTICE, 60.0, 0.4),), name, "body", 0.05, bodies=bodies, culled=culled)
-        scorer = FrameScorer(vehicles, counted, seen)
+        scorer = FrameScorer(replace(vehicles, counted=counted), seen)
         found.append((scan(vehicles, seen, POSE), scorer.see([[POSE], [POSE]], keep_returns=True)))
     (cloud, scored), (expected, judged) = found
     for column in ("xyz", "vehicle_id", "class_index", "incidence_rad", "intensity"):
@@ -126,7 +127,7 @@ def test_a_mesh_of_ours_as_own_body_gives_the_points_that_it_gives_merged():
 
 def test_no_beam_that_meets_an_own_mesh_is_culled():
     vehicles, bodies = traffic(), OwnBodies({"car": BODIES["car"]})
-    shapes = FrameShapes(vehicles, np.ones(len(vehicles), bool), "body", "exact", bodies)
+    shapes = FrameShapes(vehicles, "body", "exact", bodies)
     directions = POSE.to_world(LATTICE.components.reshape(3, -1).T)
     met = shapes.tree.meet(POSE.position, directions, 60.0).ray
     kept = reachable_beams(LATTICE, cut_vehicles(vehicles, "body", shapes.own), POSE, 60.0)

@@ -87,7 +87,7 @@ def test_a_mirrored_site_scores_the_same_from_the_mirrored_place(tmp_path):
 def test_a_class_of_weight_two_counts_as_if_each_of_its_boxes_were_there_twice(tmp_path):
     once = seen(tmp_path / "once", {"road": "net"})
     twice = seen(tmp_path / "twice", {"road": "net"}, objective={"class_weights": {"car": 2.0}})
-    cars = np.concatenate([f.vehicles.class_name[f.counted] == "car" for f in (*once[0].search, *once[0].holdout)])
+    cars = np.concatenate([f.class_name[f.counted] == "car" for f in (*once[0].search, *once[0].holdout)])
     np.testing.assert_array_equal(once[2], twice[2])
     np.testing.assert_allclose(twice[3], np.where(cars, 2.0, 1.0) * once[3])
     assert cars.any()

@@ -43,7 +43,7 @@ def test_a_kitti_label_becomes_a_box_in_the_lidars_frame(kitti):
     assert kitti_names(kitti) == ["000007"]
     frame, cut_off = kitti_frame(kitti, "000007")
     boxes = frame.boxes
-    assert (boxes.number.tolist(), boxes.label.tolist(), cut_off.tolist()) == ([1], ["Car"], [True])
+    assert (boxes.vehicle_id.tolist(), boxes.label.tolist(), cut_off.tolist()) == ([1], ["Car"], [True])
     np.testing.assert_allclose(boxes.size_m, [[4.4, 1.8, 1.5]])
     np.testing.assert_allclose(boxes.centre_m, [[12.0, 2.0, -1.7 + 0.75]])
     np.testing.assert_allclose(boxes.heading_rad, [0.0], atol=1e-12)  # along the LiDAR's x
@@ -81,7 +81,7 @@ def test_the_excerpts_own_boxes_are_found_again_in_the_lidars_frame():
     for frame in kitti_names(KITTI):
         boxes = kitti_frame(KITTI, frame)[0].boxes
         for row in np.flatnonzero(boxes.label == "Car"):
-            car = known[frame, int(boxes.number[row])]
+            car = known[frame, int(boxes.vehicle_id[row])]
             centre = [float(car[key]) for key in ("x_m", "y_m", "z_m")]
             np.testing.assert_allclose(boxes.centre_m[row], centre, atol=0.03)
             turn = math.remainder(boxes.heading_rad[row] - float(car["yaw_rad"]), 2 * math.pi)

@@ -15,7 +15,7 @@ from blender_lidar.detection.scores import MEASURES, recall
 from blender_lidar.report.detection import detection_table, detection_text
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from blender_lidar.traffic.boxes import DetectedBoxes, bev_iou, boxes_of_rows, join_boxes, late_fusion, no_boxes
+from blender_lidar.traffic.boxes import Boxes, bev_iou, boxes_of_rows, join_boxes, late_fusion, no_boxes
 from tests.layout_scene import EAST, WEST, write_layout_scene
 from tests.refusals import refused
 from tests.small_scene import done, without_charts, write_scene
@@ -31,14 +31,14 @@ def boxes(*rows):
     return boxes_of_rows(rows)
 
 
-def table_of(found: DetectedBoxes) -> np.ndarray:
+def table_of(found: Boxes) -> np.ndarray:
     """Rows in an order that depends on the boxes alone."""
     columns = [*found.centre_m.T, *found.size_m.T, found.heading_rad, found.kind, found.confidence]
     table = np.column_stack(columns)
     return table[np.lexsort(np.round(table, 9).T)]
 
 
-def random_boxes(rng, vehicles, *, seen=0.7) -> DetectedBoxes:
+def random_boxes(rng, vehicles, *, seen=0.7) -> Boxes:
     """What a LiDAR makes of vehicles: most of them, a little off, some turned about, and a few that are not there."""
     rows = [
         box(x + dx, y + dy, heading + turn, kind if rng.random() < 0.9 else (kind + 1) % 3, rng.random())
@@ -49,13 +49,13 @@ def random_boxes(rng, vehicles, *, seen=0.7) -> DetectedBoxes:
     return boxes(*rows, *(box(*rng.uniform(-30, 30, 2), confidence=rng.random()) for _ in range(3)))
 
 
-def random_parts(seed: int, lidars: int = 3) -> list[DetectedBoxes]:
+def random_parts(seed: int, lidars: int = 3) -> list[Boxes]:
     rng = np.random.default_rng(seed)
     vehicles = [(*rng.uniform(-30.0, 30.0, 2), rng.uniform(-math.pi, math.pi), int(rng.integers(3))) for _ in range(15)]
     return [random_boxes(rng, vehicles) for _ in range(lidars)]
 
 
-def slow_fusion(parts: list[DetectedBoxes]) -> np.ndarray:
+def slow_fusion(parts: list[Boxes]) -> np.ndarray:
     """The same by lists, one box at a time: the surest that is left takes the best of each other LiDAR."""
     left = [(lidar, part.select(np.array([row]))) for lidar, part in enumerate(parts) for row in range(len(part))]
     merged = []
@@ -114,7 +114,7 @@ def test_boxes_that_are_equally_sure_do_not_depend_on_the_order_of_the_lidars_ei
 def test_of_one_lidar_it_is_the_identity_however_its_boxes_overlap(others):
     alone = boxes(box(0.0), box(0.3, confidence=0.9), box(9.0, kind=2, confidence=0.0))
     found = late_fusion([alone, *[no_boxes()] * others])
-    for name in DetectedBoxes.__slots__:
+    for name in alone.columns():
         np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
     assert len(late_fusion([no_boxes()] * (others + 1))) == 0
 
@@ -211,9 +211,9 @@ def test_early_fusion_of_one_lidar_is_the_detector_itself_and_of_two_clusters_al
     detectors, clouds = [], []
     for one, mount in zip(site.each, site.scenario.baselines, strict=True):
         detector, of = detector_at(one, mount, "classical"), clouds_at(one, mount)
-        detector.learn([range_image(detector, of, frame.vehicles) for frame in site.search])
+        detector.learn([range_image(detector, of, frame) for frame in site.search])
         detectors.append(detector)
-        clouds.append(of(site.holdout[0].vehicles))
+        clouds.append(of(site.holdout[0]))
     parts = [detector.foreground(cloud) for detector, cloud in zip(detectors, clouds, strict=True)]
     (alone, _), both = detectors[0].detect(clouds[0]), early_fusion(detectors, parts)
     np.testing.assert_array_equal(table_of(early_fusion(detectors[:1], parts[:1])), table_of(alone))

@@ -91,7 +91,7 @@ def test_no_lidar_changes_where_vehicles_count(folder):
     one = site_of(folder, on_poles())
     two = site_of(folder, on_poles(), on_poles(sensor="RS-80"))
     for a, b in zip(one.search, two.search, strict=True):
-        np.testing.assert_array_equal(a.vehicles.vehicle_id[a.counted], b.vehicles.vehicle_id[b.counted])
+        np.testing.assert_array_equal(a.vehicle_id[a.counted], b.vehicle_id[b.counted])
 
 
 def test_the_layout_found_beats_all_pairs_of_a_coarse_grid_but_for_one_percent(finished):

@@ -15,7 +15,7 @@ from blender_lidar.clouds.scan import scan as scanned
 from blender_lidar.clouds.snapshot import entropy_of_vehicles
 from blender_lidar.errors import InputError
 from blender_lidar.metrics.catalogue import METRICS
-from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.settings import ObjectiveSettings
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.scoring.scores import VehicleScores
@@ -32,7 +32,9 @@ pytestmark = pytest.mark.versions
 
 LATTICE = beam_lattice(load_model("RS-16"), stride=6)
 TRAFFIC = dense_traffic(vehicles=40, length_m=100.0)
-FRAME = CountedFrame(TRAFFIC, np.hypot(*TRAFFIC.centre_m[:, :2].T) < 30.0, np.linspace(0.5, 2.0, len(TRAFFIC)))
+FRAME = replace(
+    TRAFFIC, counted=np.hypot(*TRAFFIC.centre_m[:, :2].T) < 30.0, weight=np.linspace(0.5, 2.0, len(TRAFFIC))
+)
 STANDING = join([box("sign", (2.0, 3.0, 3.0), (1.5, 0.2, 2.0)), barrier("concrete", 1.5, (-30.0, 30.0))])
 ROUGH = Imperfections(0.05, 0.2, glass_dropout=0.4, range_at_10_percent_m=30.0, seed=5)
 DRAG = [Pose(0.0, 0.0, 4.1, 0.3), Pose(0.2, 0.1, 4.0, 0.25, 0.05, 0.4), Pose(8.0, -1.0, 5.0, 0.4), Pose(40.0, 0.0, 3.0)]
@@ -52,7 +54,7 @@ def test_what_is_lost_at_a_moment_is_lost_in_cloud_and_score(since_ms):
     seen = observation("exact", Imperfections(dropout=0.5))
     clouds = [scanned(one, seen, DRAG[0]) for one in (TRAFFIC, moment)]
     assert np.array_equal(clouds[0].xyz, clouds[1].xyz) == (since_ms == 0)
-    found = FrameScorer(moment, np.ones(len(moment), bool), seen).see(singles(DRAG[:1]))
+    found = FrameScorer(moment, seen).see(singles(DRAG[:1]))
     assert found.points.sum() == (clouds[1].vehicle_id >= 0).sum()
 
 
@@ -80,7 +82,7 @@ def assert_same(found, expected):
 def test_a_look_has_the_cloud_of_a_scan_and_the_scores_of_a_scorer_wherever_it_is_dragged(caster, effects, scenery):
     seen = observation(caster, effects, scenery)
     live = LiveFrame(FRAME, seen, SCORING)
-    scorer, scores = FrameScorer(TRAFFIC, FRAME.counted, seen), VehicleScores(SCORING, seen, [FRAME])
+    scorer, scores = FrameScorer(replace(TRAFFIC, counted=FRAME.counted), seen), VehicleScores(SCORING, seen, [FRAME])
     for pose in DRAG:
         look = live.look(pose)
         how = {"scenery": seen.scenery, "imperfections": effects, "caster": caster}
@@ -95,7 +97,7 @@ def test_every_metric_scores_a_look_as_it_scores_a_frame(metric):
     scoring = replace(SCORING, metric=metric)
     seen = observation("exact", ROUGH)
     expected = VehicleScores(scoring, seen, [FRAME]).of(
-        FRAME, FrameScorer(TRAFFIC, FRAME.counted, seen), singles(DRAG[:1])
+        FRAME, FrameScorer(replace(TRAFFIC, counted=FRAME.counted), seen), singles(DRAG[:1])
     )
     assert_same(LiveFrame(FRAME, seen, scoring).look(DRAG[0]).scored, expected)
 

@@ -78,7 +78,7 @@ def assert_equal(part, whole, kept):
 def seen(imperfections, detail="body", caster="exact", poses=MOUNTINGS):
     everyone = np.ones(len(TRAFFIC), dtype=bool)
     observation = Observation((Lidar(LATTICE, 60.0, 0.4, imperfections),), caster, detail, 0.05)
-    return FrameScorer(TRAFFIC, everyone, observation).see(singles(poses))
+    return FrameScorer(replace(TRAFFIC, counted=everyone), observation).see(singles(poses))
 
 
 # --- glass: which returns are lost ------------------------------------------------------------------------------------

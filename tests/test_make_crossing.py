@@ -119,7 +119,7 @@ def test_its_vehicles_are_on_its_lanes_and_not_in_one_another(road, recording):
     use = np.array([road.lanes[lane].use for lane in found.lane])
     cycling = recording.class_index[::7] == CLASSES.index("bicycle")
     assert (use[~cycling] == "vehicles").mean() > 0.999
-    some = [recording.vehicles(frame) for frame in recording.frames[::5]]
+    some = [recording.at(frame) for frame in recording.frames[::5]]
     assert sum(len(overlapping_pairs(vehicles)) for vehicles in some) < 0.001 * sum(map(len, some))
 
 

@@ -25,7 +25,7 @@ from blender_lidar.scene.scenario import scenario_of
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.toml_table import to_toml
-from blender_lidar.traffic.boxes import DetectedBoxes, kind_of
+from blender_lidar.traffic.boxes import detected_boxes
 from tests.small_scene import done
 
 pytest.importorskip("sumolib", reason="sumolib is not installed")
@@ -67,7 +67,7 @@ def test_a_mast_on_a_map_faces_the_middle_of_the_region_from_where_it_stands(sit
 def test_the_region_of_a_junction_is_its_area_and_the_last_metres_of_its_approaches(site):
     outlines = site.region.outlines
     for frame in (*site.search, *site.holdout):
-        xy = frame.vehicles.centre_m[:, :2]
+        xy = frame.centre_m[:, :2]
         inside = np.any([polygon_holds(outline, xy) for outline in outlines], axis=0)
         np.testing.assert_array_equal(frame.counted, inside)
     east = [outline for outline in outlines if outline[:, 0].min() > 20.0]
@@ -78,10 +78,10 @@ def test_the_region_of_a_junction_is_its_area_and_the_last_metres_of_its_approac
 def test_every_vehicle_that_counts_has_its_approach_and_most_their_movement(site):
     approach, turn, x, y = [], [], [], []
     for frame in (*site.search, *site.holdout):
-        approach += frame.ways["approach"][frame.counted].tolist()
-        turn += frame.ways["movement"][frame.counted].tolist()
-        x += frame.vehicles.centre_m[frame.counted, 0].tolist()
-        y += frame.vehicles.centre_m[frame.counted, 1].tolist()
+        approach += frame.approach[frame.counted].tolist()
+        turn += frame.movement[frame.counted].tolist()
+        x += frame.centre_m[frame.counted, 0].tolist()
+        y += frame.centre_m[frame.counted, 1].tolist()
     assert set(approach) == {"from_north", "from_east", "from_south", "from_west"}
     assert np.mean(np.array(turn) != "") > 0.95
     assert {"left", "straight", "right"} <= set(turn)
@@ -170,14 +170,14 @@ def test_a_detector_is_judged_by_approach_and_the_sheet_tells_each_approachs_sha
     """One that finds all vehicles from the west and no others."""
     found = []
     for frame in site.holdout:
-        vehicles = frame.vehicles.select(frame.ways["approach"] == "from_west")
-        kinds, sure = kind_of(vehicles.class_index), np.full(len(vehicles), 0.9)
-        found.append(DetectedBoxes(vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, kinds, sure))
+        vehicles = frame.select(frame.approach == "from_west")
+        kinds, sure = vehicles.kind, np.full(len(vehicles), 0.9)
+        found.append(detected_boxes(vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, kinds, sure))
     judged = judged_boxes(found, site.holdout, site.region, (19.0, 19.0), None)
     result = detection_result(site, "ours", {"mounting": judged})["mountings"]["mounting"]
     recall = {name: one["recall_0.3"] for name, one in result["by_approach"].items()}
     assert recall == {"from_west": 1.0, "from_east": 0.0, "from_north": 0.0, "from_south": 0.0}
-    known = sum(int(frame.counted[frame.ways["approach"] != ""].sum()) for frame in site.holdout)
+    known = sum(int(frame.counted[frame.approach != ""].sum()) for frame in site.holdout)
     assert sum(one["vehicles"] for one in result["by_approach"].values()) == known
     for one in result["by_approach"].values():
         assert one["recall_0.3_interval_90"] is None or one["recall_0.3_interval_90"][0] <= one["recall_0.3"]
@@ -194,7 +194,7 @@ def test_a_detector_is_judged_by_approach_and_the_sheet_tells_each_approachs_sha
 def test_detectors_look_where_vehicles_count_and_find_some(site):
     low, high = watched(site)
     for frame in (*site.search, *site.holdout):
-        xy = frame.vehicles.centre_m[frame.counted, :2]
+        xy = frame.centre_m[frame.counted, :2]
         assert ((xy >= low) & (xy <= high)).all()
     mounting = site.scenario.mounting({"height_m": 5.0, "tilt_x_deg": 12.0})
     detector = PillarsDetector("RS-16", mounting.pose, low, high)
@@ -211,7 +211,7 @@ def test_a_data_set_of_a_map_judges_a_detector_without_the_map(tmp_path, capsys)
     done(capsys, "dataset", scene, "--mountings", 2, "--scans", 8, "--out", tmp_path / "set")
     stored, found = read_dataset(tmp_path / "set"), prepare(scenario_of(settings))
     for frame in (*found.search, *found.holdout):
-        np.testing.assert_array_equal(stored.region.holds(frame.vehicles), found.region.holds(frame.vehicles))
+        np.testing.assert_array_equal(stored.region.holds(frame), found.region.holds(frame))
     for pose, row in zip(stored.poses, range(len(stored.poses)), strict=True):
         table = {key: float(stored.scans[key][row]) for key in ("x_m", "y_m", "height_m", "tilt_x_deg")}
         np.testing.assert_allclose(pose.rotation, found.scenario.mounting(table).pose.rotation, atol=1e-12)

@@ -62,7 +62,7 @@ def test_the_objective_sums_the_metric_of_each_vehicle_as_it_is_seen_from_each_m
         totals = evaluator.totals(LAYOUTS)
     sign = 1.0 if metric.higher_is_better else -1.0
     for column, frame in enumerate(FRAMES):
-        scorer, counted = FrameScorer(frame.vehicles, frame.counted, SEEN), frame.vehicles.select(frame.counted)
+        scorer, counted = FrameScorer(frame, SEEN), frame.select(frame.counted)
         for row, pose in enumerate(POSES):
             points, vehicle = scorer.vehicle_points(pose)
             distance = np.array([math.dist((x, y), (pose.x_m, pose.y_m)) for x, y, _ in counted.centre_m.tolist()])
@@ -76,7 +76,7 @@ def test_the_objective_sums_the_metric_of_each_vehicle_as_it_is_seen_from_each_m
 
 
 def test_returns_are_kept_by_mounting_and_vehicle_only_where_they_are_asked_for():
-    scorer = FrameScorer(FRAMES[0].vehicles, FRAMES[0].counted, SEEN)
+    scorer = FrameScorer(FRAMES[0], SEEN)
     assert scorer.see(singles(POSES)).returns is None
     seen = scorer.see(singles(POSES), keep_returns=True)
     points, row = seen.returns

@@ -139,11 +139,11 @@ def test_a_vehicle_that_was_counted_in_the_search_never_judges_but_still_hides_o
     site = prepare(load_scenario(write_scene(tmp_path, {"traffic": {"block_s": 10.0}})))
     assert len(site.holdout) > 2
     for frame in site.search:
-        assert frame.counted[frame.vehicles.vehicle_id == STANDING].tolist() == [True]
+        assert frame.counted[frame.vehicle_id == STANDING].tolist() == [True]
     for frame in site.holdout:
-        assert frame.counted[frame.vehicles.vehicle_id == STANDING].tolist() == [False]
+        assert frame.counted[frame.vehicle_id == STANDING].tolist() == [False]
     searched, judging = (
-        np.unique(np.concatenate([frame.vehicles.vehicle_id[frame.counted] for frame in frames]))
+        np.unique(np.concatenate([frame.vehicle_id[frame.counted] for frame in frames]))
         for frames in (site.search, site.holdout)
     )
     assert len(judging) > 3
@@ -164,7 +164,7 @@ def test_a_site_of_traffic_that_was_read_already_is_the_same_and_reads_none(tmp_
     again = prepare(scenario, recordings=recordings)
     assert again.identity == site.identity
     for one, other in zip((*site.search, *site.holdout), (*again.search, *again.holdout), strict=True):
-        np.testing.assert_array_equal(one.vehicles.centre_m, other.vehicles.centre_m)
+        np.testing.assert_array_equal(one.centre_m, other.centre_m)
         np.testing.assert_array_equal(one.counted, other.counted)
 
 

@@ -201,7 +201,7 @@ def i80():
     options = {("traffic", "frames"): 4, ("model", "caster"): CASTER, ("world", "clutter"): 0.5}
     site = prepare(load_scenario("i80", {place: (value, place[1]) for place, value in options.items()}))
     mount = site.scenario.mounting({"height_m": 4.5, "tilt_x_deg": 22.0})
-    return site, mount, cache(lambda at: sensor_at(site, mount).scan(site.search[at].vehicles))
+    return site, mount, cache(lambda at: sensor_at(site, mount).scan(site.search[at]))
 
 
 def detector(site, mount, **changed):
@@ -212,7 +212,7 @@ def detector(site, mount, **changed):
 def found_share(site, at, boxes):
     """Share of a frame's counted vehicles that a box's centre is within 2 m of, and of boxes that meet a vehicle."""
     frame = site.search[at]
-    every = frame.vehicles.centre_m[:, None, :2] - boxes.centre_m[:, :2]
+    every = frame.centre_m[:, None, :2] - boxes.centre_m[:, :2]
     near = np.hypot(*np.moveaxis(every, -1, 0)) < 2.0
     return near[frame.counted].any(axis=1).mean(), near.any(axis=0).mean()
 
@@ -307,7 +307,7 @@ def test_ours_look_at_the_whole_region_though_few_vehicles_are_searched(i80):
     low, high = watched(replace(site, search=site.search[:1]))
     ((right, left),) = site.scenario.road.carriageways_y
     assert (low.tolist(), high.tolist()) == ([-50.0, right - 8.0], [50.0, left + 8.0])
-    beside = site.search[0].vehicles
+    beside = site.search[0]
     far = replace(beside, centre_m=beside.centre_m + np.array([0.0, 30.0, 0.0]))
     low, high = watched(replace(site, search=(replace(site.search[0], vehicles=far),)))
     assert (low.tolist(), high.tolist()) == ([-50.0, -50.0], [50.0, 50.0])

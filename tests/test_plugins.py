@@ -59,11 +59,11 @@ import blender_lidar
 
 @blender_lidar.metric(learns=True, needs=["layouts"], unit="boxes", decimals=1, tells="how many boxes were nearer")
 def crowded(frames, observation):
-    places = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in frames])
+    places = np.concatenate([frame.centre_m[frame.counted, :2] for frame in frames])
 
     def score(returns):
         origin = np.array([pose.position[:2] for (pose,) in returns.layouts])[:, None]
-        here = returns.frame.vehicles.centre_m[returns.frame.counted, :2]
+        here = returns.frame.centre_m[returns.frame.counted, :2]
         own, others = (np.linalg.norm(xy - origin, axis=2) for xy in (here, places))
         return (others[:, None] < own[..., None]).sum(axis=2).ravel()
 
@@ -130,7 +130,7 @@ def test_a_metric_that_learns_does_so_from_the_frames_that_it_scores_searched_or
     run, site = RunFolder(tmp_path / "run"), bl.load_scene(scene, metric=name, frames=3)
     mount = np.array([site.scenario.deployment.spaces[0].layout([4.0, 0.0])[0].xy])
     for split, frames in (("search", site.search), ("holdout", site.holdout)):
-        places = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in frames])
+        places = np.concatenate([frame.centre_m[frame.counted, :2] for frame in frames])
         away = np.linalg.norm(places - mount, axis=1)
         expected = [sum(other < mine for other in away.tolist()) for mine in away.tolist()]
         chosen = run.optimised["split"] == split
@@ -146,7 +146,7 @@ def test_a_metric_learns_from_the_frames_that_it_scores_and_how_they_are_seen(tm
     with pytest.raises(InputError, match="gave object values; allowed: numbers"):
         bl.score_mounting(site, height_m=4.0)
     frames, observation = pickle.loads(Path(f"{path}.seen").read_bytes())
-    assert [frame.vehicles.frame for frame in frames] == [frame.vehicles.frame for frame in site.search]
+    assert [frame.frame for frame in frames] == [frame.frame for frame in site.search]
     np.testing.assert_array_equal(observation.lattice.directions, site.observation.lattice.directions)
     assert (observation.lidar.min_range_m, observation.lidar.max_range_m) == (0.4, 20.0)
 
@@ -155,7 +155,7 @@ def test_a_cloud_has_no_scene_to_learn_from(tmp_path, own):
     path = own(CROWDED)
     site = bl.load_scene(write_scene(tmp_path), workers=1)
     with pytest.raises(InputError, match=r"learns from a scene's traffic; allowed: in a run of a scene"):
-        bl.score_cloud(bl.scan_frame(site, site.search[0].vehicles.frame), metrics=[f"{path}:crowded"])
+        bl.score_cloud(bl.scan_frame(site, site.search[0].frame), metrics=[f"{path}:crowded"])
 
 
 def test_a_chart_of_a_metric_that_learns_compares_it_with_those_of_the_catalogue(tmp_path, own):
@@ -185,7 +185,7 @@ def test_metrics_and_searches_are_given_to_python_themselves(tmp_path, own, monk
     assert site.scenario.objective.metric == f"{path.resolve()}:views"
     assert site.scenario.search.method == f"{path.resolve()}:Drawn"
     monkeypatch.delitem(sys.modules, "own")
-    scan = bl.scan_frame(site, site.search[0].vehicles.frame, height_m=4.0)
+    scan = bl.scan_frame(site, site.search[0].frame, height_m=4.0)
     table = bl.score_cloud(scan, metrics=[module.views])
     np.testing.assert_allclose(table["views"], table["p_top"] + table["p_side"] + table["p_front"])
 
@@ -310,6 +310,6 @@ def test_a_plugin_that_is_not_there_is_told_with_what_is(tmp_path, capsys):
 def test_a_metric_called_as_another_column_is_refused(tmp_path, own):
     path = own("import blender_lidar as bl\n@bl.metric\ndef detectable(returns):\n    return returns.count\n")
     site = bl.load_scene(write_scene(tmp_path), workers=1)
-    scan = bl.scan_frame(site, site.search[0].vehicles.frame)
+    scan = bl.scan_frame(site, site.search[0].frame)
     with pytest.raises(InputError, match="'detectable' is the name of another column"):
         bl.score_cloud(scan, metrics=[f"{path}:detectable"])

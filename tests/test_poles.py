@@ -15,7 +15,7 @@ from blender_lidar.commands.report import describe_site
 from blender_lidar.errors import InputError
 from blender_lidar.run.verdict import rank_places
 from blender_lidar.scene.deployment import HANGS, Place, Pole, SearchSpace
-from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.places import read_poles
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -248,7 +248,7 @@ def ranked(places, x_m, metric="pe-vgop", recording=(0,) * 8):
     Returns its rows, which pole is best, and the objective of each pole in the held-out frames.
     """
     cars = [replace(one_vehicle("car", (x, 8.0)), frame=number) for number, x in enumerate(x_m)]
-    frames = [CountedFrame(car, np.ones(1, dtype=bool)) for car in cars]
+    frames = [replace(car, counted=np.ones(1, dtype=bool)) for car in cars]
     seen = Observation((Lidar(beam_lattice(load_model("RS-16"), stride=4), 60.0, 0.4),), "exact", "body", 0.05)
     scoring = Scoring(1e-6, "mean", None, "corrected", metric)
     held = {"holdout": np.arange(4, 12), "holdout_block": np.arange(8), "holdout_recording": np.array(recording)}

@@ -25,7 +25,8 @@ from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.traffic.vehicles import CLASSES, Vehicles
+from blender_lidar.traffic.boxes import Boxes
+from blender_lidar.traffic.vehicles import CLASSES
 from roadside_detection import main as tables
 from tests.recorded_samples import CASTER, SENSOR, scanned, street
 from tests.refusals import refused
@@ -265,7 +266,7 @@ def test_label_texts_of_kitti_are_the_boxes_that_were_written(score, tmp_path):
     heads = [f"{name} 0 0 0" for name in ("Car", "Van", "Truck", "Cyclist", "Car", "Tram", "Car")]
     text = kitti_labels(heads, vehicles, LEVEL.pose, [score] * len(vehicles))
     (tmp_path / "000007.txt").write_text(text + "DontCare" + " -1" * 14 + "\n")
-    found = read_labels(tmp_path / "000007.txt", LEVEL).vehicles(7)
+    found = read_labels(tmp_path / "000007.txt", LEVEL).at(7)
     np.testing.assert_allclose(found.centre_m, vehicles.centre_m, atol=2e-3)
     np.testing.assert_allclose(found.size_m, vehicles.size_m, atol=1e-3)
     turn = np.angle(np.exp(1j * (found.heading_rad - vehicles.heading_rad)))
@@ -366,7 +367,7 @@ def passing(frame):
     kinds = [("car", 4.3, 1.8, 1.5), ("van", 5.4, 2.0, 2.2), ("truck", 8.0, 2.5, 3.1), ("car", 4.0, 1.7, 1.45)]
     x = np.array([-24.0, 9.0, 30.0, -48.0]) + rng.uniform(-6.0, 6.0, 4)
     size = np.array([kind[1:] for kind in kinds])
-    return Vehicles(
+    return Boxes(
         frame=frame,
         time_s=0.0,
         vehicle_id=np.arange(4),
@@ -388,7 +389,7 @@ def test_boxes_are_fitted_to_what_was_scanned(tmp_path):
     write_columns(tmp_path / "boxes.csv", table)
     found = read_labels(tmp_path / "boxes.csv")
     for vehicles in frames:
-        boxes, of = found.vehicles(vehicles.frame), table["frame"] == vehicles.frame
+        boxes, of = found.at(vehicles.frame), table["frame"] == vehicles.frame
         away = np.linalg.norm(boxes.centre_m[:, None, :2] - vehicles.centre_m[None, :, :2], axis=-1)
         assert sorted(away.argmin(axis=1).tolist()) == [0, 1, 2, 3]
         truth = vehicles.select(away.argmin(axis=1))

@@ -38,7 +38,7 @@ MADE = recording(ROWS)
 
 @given(st.sampled_from([0, 1, 2, 5]), st.floats(-9e-4, 9e-4))
 def test_at_an_instant_its_rows_come_back_bit_for_bit(frame, off_s):
-    found, there = MADE.moment(0.5 * frame + off_s), MADE.vehicles(frame)
+    found, there = MADE.moment(0.5 * frame + off_s), MADE.at(frame)
     assert (found.frame, found.time_s) == (frame, there.time_s)
     for name in COLUMNS:
         np.testing.assert_array_equal(getattr(found, name), getattr(there, name))

@@ -143,7 +143,7 @@ def test_frames_and_vehicles_of_the_second_recording_are_counted_on_from_a_power
         assert getattr(site.plan, half).tolist() == [*first, *(first.max() + 1 + second)]
     assert set(site.plan.searched_ids) == {*own[0].plan.searched_ids, *(100 + own[1].plan.searched_ids)}
     frame = int(own[1].plan.search[0])
-    joined, alone = site.recording.vehicles(100 + frame), own[1].recording.vehicles(frame)
+    joined, alone = site.recording.at(100 + frame), own[1].recording.at(frame)
     assert (joined.centre_m == alone.centre_m).all()
     assert (joined.vehicle_id == 100 + alone.vehicle_id).all()
     assert joined.time_s == alone.time_s

@@ -86,7 +86,7 @@ def counted_in(folder, region):
     """Lane and x of each vehicle that counts in a scene with that [region]."""
     traffic = {"frames": None, "frame_ids": list(range(40)), "holdout": 0.0}
     site = prepare(load_scenario(write_scene(folder, {"deployment": FIXED, "traffic": traffic, "region": region})))
-    chosen = [frame.vehicles.select(frame.counted) for frame in site.search]
+    chosen = [frame.select(frame.counted) for frame in site.search]
     return {(int(lane), float(x)) for each in chosen for lane, x in zip(each.lane, each.centre_m[:, 0], strict=True)}
 
 
@@ -104,14 +104,14 @@ def test_vehicles_beyond_the_gate_count_as_missed(tmp_path):
         prepare(load_scenario(write_scene(tmp_path / name, {"region": {"radius_m": radius}})))
         for name, radius in (("near", GATE_M), ("far", 35.0))
     )
-    seen = [frame.vehicles for frame in far.search]
-    assert all((frame.counted == (far.region.distance(frame.vehicles) <= 35.0)).all() for frame in far.search)
+    seen = far.search
+    assert all((frame.counted == (far.region.distance(frame) <= 35.0)).all() for frame in far.search)
     assert any((far.region.distance(vehicles) > GATE_M).any() for vehicles in seen)
     assert sum(frame.counted.sum() for frame in far.search) > sum(frame.counted.sum() for frame in near.search)
 
 
 def counted(site):
-    return [frame.vehicles.vehicle_id[frame.counted].tolist() for frame in (*site.search, *site.holdout)]
+    return [frame.vehicle_id[frame.counted].tolist() for frame in (*site.search, *site.holdout)]
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def totals(site, mount=None):
 
 def counted(site):
     """Classes of all that count in the searched frames."""
-    return set(np.concatenate([frame.vehicles.class_name[frame.counted] for frame in site.search]).tolist())
+    return set(np.concatenate([frame.class_name[frame.counted] for frame in site.search]).tolist())
 
 
 def test_pedestrians_are_left_out_unless_they_are_named_and_nothing_else_changes(tmp_path):
@@ -85,7 +85,7 @@ def test_the_classes_that_are_named_are_scored_and_the_others_hide_them(tmp_path
     mount = (replace(every.scenario.baseline, height_m=3.0),)
     with site_evaluator(every, every.search) as evaluator:
         scored = evaluator.by_vehicle([mount])
-    asked = [np.isin(frame.vehicles.class_name[frame.counted], classes) for frame in every.search]
+    asked = [np.isin(frame.class_name[frame.counted], classes) for frame in every.search]
     expected = [one.objective[0][which].sum() for one, which in zip(scored, asked, strict=True)]
     assert np.any(expected)
     np.testing.assert_allclose(totals(some, [mount]).objective[0], expected, atol=1e-12)
@@ -94,12 +94,12 @@ def test_the_classes_that_are_named_are_scored_and_the_others_hide_them(tmp_path
 def test_pedestrians_may_only_hide_and_chart_and_stability_then_have_a_row(tmp_path):
     hiding = prepare(load_scenario(scene(tmp_path / "hiding", world={"pedestrians": True})))
     assert counted(hiding) == {"car", "van", "truck", "bicycle"}
-    assert any((frame.vehicles.class_index == PEDESTRIAN).any() for frame in hiding.search)
+    assert any((frame.class_index == PEDESTRIAN).any() for frame in hiding.search)
     without = prepare(load_scenario(scene(tmp_path / "without", objective={}, users=False)))
     (row,) = [one for one in ablations(hiding, 1) if one.what == "pedestrians"]
     ((left_out, own),) = row.pairs
     bare = left_out.changed(hiding)
-    assert not any((frame.vehicles.class_index == PEDESTRIAN).any() for frame in (*bare.search, *bare.holdout))
+    assert not any((frame.class_index == PEDESTRIAN).any() for frame in (*bare.search, *bare.holdout))
     assert own.changed(hiding).search == hiding.search
     assert [one.what for one in traffic_variations(hiding, 1)].count("pedestrians") == 1
     assert not any(one.what == "pedestrians" for one in (*ablations(without, 1), *traffic_variations(without, 1)))
@@ -180,11 +180,10 @@ def test_a_detector_is_not_asked_for_pedestrians_and_a_data_set_labels_them(tmp_
 def test_who_walks_has_no_movement_and_makes_no_driven_area(tmp_path):
     (recording,) = read_recordings(load_scenario(scene(tmp_path, objective={"classes": EVERY})))
     ways = ways_by_track(recording, (0.0, 0.0))
-    movement = dict(zip(ways.vehicle_id.tolist(), ways.movement.tolist(), strict=True))
     walking = set(recording.vehicle_id[recording.class_index == PEDESTRIAN].tolist())
     assert walking
-    assert {movement[number] for number in walking} == {""}
-    assert {movement[number] for number in set(movement) - walking} > {"straight"}
+    assert not walking & set(ways)
+    assert {movement for _, _, movement in ways.values()} > {"straight"}
     path = tmp_path / "driven.toml"
     path.write_text(
         '[traffic]\npath = "traffic.csv"\n[road]\ndriven = true\n[region]\ncentre_m = [0.0, 0.0]\nradius_m = 20.0\n'

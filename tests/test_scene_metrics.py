@@ -13,7 +13,7 @@ import tests.research  # noqa: F401
 from blender_lidar.metrics.metric import VehicleReturns
 from blender_lidar.run.verdict import map_scores
 from blender_lidar.scene.mounting import Mast, Mounting
-from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
@@ -59,7 +59,7 @@ def frames_of(number, seed=0, length_m=70.0):
     made = []
     for frame in range(number):
         vehicles = dense_traffic(seed=seed + frame, vehicles=16 + frame, length_m=length_m, frame=10 * frame)
-        made.append(CountedFrame(vehicles, np.hypot(*vehicles.centre_m[:, :2].T) < 30.0))
+        made.append(replace(vehicles, counted=np.hypot(*vehicles.centre_m[:, :2].T) < 30.0))
     return made
 
 
@@ -98,9 +98,7 @@ def test_the_objective_per_vehicle_is_the_published_value_under_the_frames_own_p
 @pytest.mark.parametrize("name", NAMES)
 def test_a_value_does_not_depend_on_where_the_frames_origin_is(name):
     by = np.array([40.0, -12.0, 0.0])  # of whole voxels, so that the same centres lie in the same boxes
-    moved = [
-        replace(frame, vehicles=replace(frame.vehicles, centre_m=frame.vehicles.centre_m + by)) for frame in FRAMES
-    ]
+    moved = [replace(frame, centre_m=frame.centre_m + by) for frame in FRAMES]
     layouts = [(replace(one, mast=Mast((one.xy[0] + by[0], one.xy[1] + by[1], 0.0))),) for one in MOUNTINGS]
     np.testing.assert_allclose(per_vehicle(name, layouts, moved), per_vehicle(name), rtol=1e-3)
 
@@ -121,7 +119,7 @@ def test_the_frame_and_the_company_in_which_mountings_are_scored_do_not_matter()
     for name in ("m_sog", "expected_visibility", "ground_nuc"):
         together = VehicleScores(scoring(name), SEEN, FRAMES)
         for frame in (FRAMES[3], FRAMES[0]):
-            scorer = FrameScorer(frame.vehicles, frame.counted, SEEN)
+            scorer = FrameScorer(frame, SEEN)
             all_three = together.of(frame, scorer, singles(POSES)).values
             for pose, values in zip(POSES[::-1], all_three[::-1], strict=True):
                 alone = VehicleScores(scoring(name), SEEN, FRAMES).of(frame, scorer, singles([pose])).values
@@ -247,9 +245,9 @@ def test_the_road_is_the_least_rectangle_about_all_boxes_that_count():
     road, ends = Road(FRAMES, SEEN), []
     for frame in FRAMES:
         for (x, y, _), (length, width, _), turn in zip(
-            frame.vehicles.centre_m[frame.counted],
-            frame.vehicles.size_m[frame.counted],
-            frame.vehicles.heading_rad[frame.counted],
+            frame.centre_m[frame.counted],
+            frame.size_m[frame.counted],
+            frame.heading_rad[frame.counted],
             strict=True,
         ):
             ahead, left = (np.array([math.cos(turn), math.sin(turn)]), np.array([-math.sin(turn), math.cos(turn)]))
@@ -262,7 +260,7 @@ def test_the_road_is_the_least_rectangle_about_all_boxes_that_count():
 
 
 def test_frames_in_which_nothing_counts_have_no_values():
-    nobody = [CountedFrame(frame.vehicles, np.zeros_like(frame.counted)) for frame in FRAMES]
+    nobody = [replace(frame, counted=np.zeros_like(frame.counted)) for frame in FRAMES]
     for name in NAMES:
         with Evaluator(nobody, SEEN, scoring(name)) as evaluator:
             assert evaluator.totals(LAYOUTS).objective.tolist() == [[0.0] * 6] * 3

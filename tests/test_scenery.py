@@ -123,14 +123,12 @@ def test_the_score_counts_what_a_scan_counts_behind_scenery(caster):
     scenery = StandingScenery(SCENERY, caster)
     seen = Observation((Lidar(LATTICE, REACH_M),), caster, "body", 0.05, scenery=scenery)
     poses = [POSE, Pose(0.0, 0.0, 3.0)]
-    scored = FrameScorer(TRAFFIC, np.ones(len(TRAFFIC), dtype=bool), seen).see(singles(poses))
+    scored = FrameScorer(TRAFFIC, seen).see(singles(poses))
     for row, pose in enumerate(poses):
         cloud = scan(TRAFFIC, LATTICE, pose, caster=caster, max_range_m=REACH_M, scenery=scenery)
         counts = [(cloud.vehicle_id == vehicle).sum() for vehicle in TRAFFIC.vehicle_id]
         np.testing.assert_array_equal(scored.points[row], counts)
-    free = (
-        FrameScorer(TRAFFIC, np.ones(len(TRAFFIC), dtype=bool), replace(seen, scenery=None)).see(singles(poses)).points
-    )
+    free = FrameScorer(TRAFFIC, replace(seen, scenery=None)).see(singles(poses)).points
     assert (scored.points <= free).all()
     assert scored.points.sum() < free.sum()
 

@@ -61,7 +61,7 @@ def rays_of(lattice, mount):
 
 def test_ranges_are_those_of_a_tilted_world_about_a_plumb_lidar(site):
     grade, cross_fall = 0.06, -0.025
-    frame, lattice = site.search[0].vehicles, site.observation.lattice
+    frame, lattice = site.search[0], site.observation.lattice
     cloud = sensor_at(site, site.scenario.mounting(MOUNT)).scan(frame)
     corners = tilted(vehicle_triangles(frame).corners, grade, cross_fall)
     foot = tilted(np.array([[MOUNT["x_m"], MOUNT["y_m"], 0.0]]), grade, cross_fall)[0]
@@ -85,7 +85,7 @@ def test_ranges_are_those_of_a_tilted_world_about_a_plumb_lidar(site):
 
 
 def test_a_crown_is_two_planes_on_which_vehicles_stand(crowned):
-    road, frame = crowned.scenario.road, crowned.search[0].vehicles
+    road, frame = crowned.scenario.road, crowned.search[0]
     right, half = road.setback_m, 0.5 * road.lanes * road.lane_width_m
     floor = frame.centre_m[:, 2] - 0.5 * frame.size_m[:, 2]
     np.testing.assert_allclose(floor, 0.03 * (half - abs(frame.centre_m[:, 1] - right - half)).clip(0.0), atol=1e-12)
@@ -145,15 +145,15 @@ def test_scores_see_what_clouds_do(compiled, crowned, monkeypatch):
     for height in (2.0, 4.2):
         mounting = crowned.scenario.mounting(MOUNT | {"height_m": height})
         for frame in crowned.search[:2]:
-            cloud = sensor_at(crowned, mounting).scan(frame.vehicles)
-            expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicles.vehicle_id[frame.counted]]
-            seen = frame_scorer.FrameScorer(frame.vehicles, frame.counted, crowned.observation)
+            cloud = sensor_at(crowned, mounting).scan(frame)
+            expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicle_id[frame.counted]]
+            seen = frame_scorer.FrameScorer(frame, crowned.observation)
             np.testing.assert_array_equal(seen.see([(mounting.pose,)]).points[0], expected)
             assert sum(expected) > 100
 
 
 def test_who_believes_in_a_level_road_sees_the_ground_off_it(site):
-    cloud = sensor_at(site, site.scenario.mounting(MOUNT)).scan(site.search[0].vehicles)
+    cloud = sensor_at(site, site.scenario.mounting(MOUNT)).scan(site.search[0])
     level = mounting_from(MOUNT, road_map(StraightRoad()))
     seen = believed(cloud, site.scenario.mounting(MOUNT).pose, level.pose)
     ground = cloud.vehicle_id < 0
@@ -178,7 +178,7 @@ def test_signs():
 
 def test_headers_have_the_pose_in_the_road_frame_and_the_plumb_mounting(site):
     sensor = sensor_at(site, site.scenario.mounting(MOUNT))
-    header, pose = sensor.cloud_header(site.search[0].vehicles), site.scenario.mounting(MOUNT).pose
+    header, pose = sensor.cloud_header(site.search[0]), site.scenario.mounting(MOUNT).pose
     assert {key: header["mounting"][key] for key in COORDINATES} == pytest.approx(MOUNT)
     assert header["road"] == SLOPES
     np.testing.assert_allclose(levelled(pose.position[None], Pose.from_table(header["pose"])), 0.0, atol=1e-12)

@@ -73,7 +73,7 @@ def test_no_change_is_what_the_scene_has_already(site):
         assert len(changed.search) == len(site.search)
         pairs = zip(changed.search, site.search, strict=True)
         as_before = (changed.observation, changed.scoring) == (site.observation, site.scoring)
-        assert not (as_before and all(one.vehicles is other.vehicles for one, other in pairs)), variation
+        assert not (as_before and all(one.vehicle_id is other.vehicle_id for one, other in pairs)), variation
 
 
 def test_without_a_loss_there_is_neither_c_nor_view_nor_delta_to_vary_as_the_objective_asks_for_none(site):
@@ -104,7 +104,7 @@ def test_changed_traffic_never_counts_a_searched_vehicle_or_its_copy_among_the_h
     for variation in traffic_variations(site, 2):
         changed = variation.changed(site)
         searched, judged = (
-            np.concatenate([frame.vehicles.vehicle_id[frame.counted] % step for frame in frames])
+            np.concatenate([frame.vehicle_id[frame.counted] % step for frame in frames])
             for frames in (changed.search, changed.holdout)
         )
         assert not np.isin(judged, [*site.plan.searched_ids, *searched]).any(), variation

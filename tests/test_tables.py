@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 from hypothesis import given
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from blender_lidar.files import to_csv, write_columns
 from blender_lidar.run.vehicle_table import VEHICLE_COLUMNS, vehicle_table
 from blender_lidar.scene.mounting import Mounting
-from blender_lidar.scene.observation import CountedFrame, Observation, Scoring
+from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.lidar import Lidar
@@ -55,11 +56,11 @@ def test_the_vehicles_of_a_run_are_a_table_of_boxes(tmp_path):
     lattice = beam_lattice(load_model("RS-16"), stride=20)
     seen = Observation((Lidar(lattice, 40.0, 0.4),), "exact", "box", 0.05)
     vehicles = dense_traffic(vehicles=15, length_m=60.0, frame=30)
-    frame = CountedFrame(vehicles, np.arange(15) % 3 > 0)
+    frame = replace(vehicles, counted=np.arange(15) % 3 > 0)
     evaluator = Evaluator([frame], seen, Scoring(0.005, "mean", -1.0, "corrected"))
     table = vehicle_table((Mounting(height_m=4.0),), search=evaluator)
     write_columns(tmp_path / "vehicles.csv", {name: table[name] for name in VEHICLE_COLUMNS})
-    boxes = read_table(tmp_path / "vehicles.csv").vehicles(30)
+    boxes = read_table(tmp_path / "vehicles.csv").at(30)
     counted = vehicles.select(frame.counted)
     np.testing.assert_array_equal(boxes.vehicle_id, counted.vehicle_id)
     np.testing.assert_array_equal(boxes.class_index, counted.class_index)

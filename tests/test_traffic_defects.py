@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
-from blender_lidar.traffic import Vehicles, overlapping_pairs, read_traffic
+from blender_lidar.traffic import Boxes, overlapping_pairs, read_traffic
 from blender_lidar.traffic.tracks import (
     WINDOW_S,
     fitted_velocity,
@@ -186,7 +186,7 @@ def test_absurd_sizes_are_brought_into_range_and_missing_ones_get_the_default(tm
     columns["v_Length"] = np.array([3.0, 60.0, 0.0, 200.0, 0.0, 5.9, 0.0, 14.5])[number]
     columns["v_Width"] = np.array([6.0, 20.0, 0.0, 8.5, 0.0, 5.1, 2.5, 6.8])[number]
     recording = read(tmp_path, columns)
-    length, width = recording.vehicles(100).size_m[:, :2].T
+    length, width = recording.at(100).size_m[:, :2].T
     np.testing.assert_allclose(length, [2.5, 7.0, 4.5, 25.0, 12.7, 5.9 * FOOT_M, 2.1, 14.5 * FOOT_M])
     np.testing.assert_allclose(width, [6 * FOOT_M, 2.6, 2.05, 8.5 * FOOT_M, 2.59, 0.8, 2.5 * FOOT_M, 6.8 * FOOT_M])
     assert recording.report.sizes_repaired == 7, "vehicles, not rows"
@@ -275,7 +275,7 @@ def test_lane_changes_last_three_seconds_either_way_and_stay_with_their_vehicle(
 
 def frame_of(centre, size, heading):
     n = len(centre)
-    return Vehicles(
+    return Boxes(
         frame=0,
         time_s=0.0,
         vehicle_id=np.arange(n),

@@ -48,7 +48,7 @@ def counted(vehicles):
 
 
 def counted_ids(recording, frames, counts=counted):
-    every = map(recording.vehicles, frames)
+    every = map(recording.at, frames)
     return {number for vehicles in every for number in vehicles.vehicle_id[counts(vehicles)].tolist()}
 
 

@@ -102,16 +102,16 @@ def test_classes_and_heights_follow_from_class_and_length(tmp_path):
     columns["v_Class"] = np.array([0, 2, 2, 3, 3, 1, 2])[number]
     columns["v_Length"] = np.array([0, 14.0, 17.0, 26.0, 50.0, 7.0, 16.0])[number]
     path = samples.write(tmp_path, samples.native(columns))
-    vehicles = read_traffic(path).vehicles(100)
+    vehicles = read_traffic(path).at(100)
     assert vehicles.class_name.tolist() == ["car", "van", "truck", "truck", "motorcycle", "car"]
     assert vehicles.size_m[:, 2].tolist() == [1.5, 1.9, 3.0, 3.8, 1.4, 1.5]
-    own = read_traffic(path, height_m={"car": 1.6, "long_truck": 4.0}).vehicles(100)
+    own = read_traffic(path, height_m={"car": 1.6, "long_truck": 4.0}).at(100)
     assert own.size_m[:, 2].tolist() == [1.6, 1.9, 3.0, 4.0, 1.4, 1.6]
     assert set(vehicles.class_index) <= set(range(len(CLASSES)))
 
 
 def test_vehicles_of_a_frame_and_selection(expected, columns):
-    vehicles = expected.vehicles(150)
+    vehicles = expected.at(150)
     assert vehicles.frame == 150
     assert vehicles.time_s == pytest.approx(15.0)
     assert len(vehicles) == expected.counts[50] == 12
@@ -120,7 +120,7 @@ def test_vehicles_of_a_frame_and_selection(expected, columns):
     assert trucks.vehicle_id.tolist() == [10]
     assert trucks.centre_m.shape == trucks.size_m.shape == (1, 3)
     with pytest.raises(InputError, match=r"no frame 99; the recording has 120 frames from 100 to 219"):
-        expected.vehicles(99)
+        expected.at(99)
 
 
 def test_native_text_of_arterials_has_free_headings(tmp_path):
@@ -290,5 +290,5 @@ def test_half_of_the_sparse_scene_can_judge_the_other(recordings):
     assert plan.holdout_block[-1] >= 4
     assert 5.0 <= plan.block_s <= 60.0
     for frame in plan.holdout:
-        vehicles = recording.vehicles(frame)
+        vehicles = recording.at(frame)
         assert not np.isin(vehicles.vehicle_id[counted(vehicles)], plan.searched_ids).any()

@@ -58,7 +58,7 @@ def assert_same(given, expected):
     [(0, 90, (50, 0.5)), (90, 0, (47.5, 3)), (180, -90, (50, 5.5)), (270, 180, (52.5, 3)), (45, 45, (48.2322, 1.2322))],
 )
 def test_a_compass_angle_becomes_a_heading_and_the_box_lies_behind_its_front(tmp_path, angle, heading, centre):
-    vehicles = read_traffic(write(tmp_path, [samples.row(angle=angle)])).vehicles(0)
+    vehicles = read_traffic(write(tmp_path, [samples.row(angle=angle)])).at(0)
     assert math.remainder(math.degrees(vehicles.heading_rad[0]) - heading, 360) == pytest.approx(0, abs=1e-9)
     np.testing.assert_allclose(vehicles.centre_m, [[*centre, 0.75]], atol=1e-4)
 

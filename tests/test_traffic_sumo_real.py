@@ -108,14 +108,14 @@ def test_every_kind_of_vehicle_is_there_with_its_size(recording):
 
 def test_a_vehicle_whose_rear_enters_at_the_edges_beginning_has_its_box_there(recording):
     """SUMO's departPos "base" puts the rear 0.1 m behind the beginning of the edge, which lies at x = 0."""
-    first = recording.vehicles(0)
+    first = recording.at(0)
     long = first.size_m[:, 0] == 11.5
     rear = first.centre_m[long, 0] - 11.5 / 2
     np.testing.assert_allclose(rear, 0.1, atol=0.02)
 
 
 def test_boxes_follow_each_other_without_overlap_and_point_where_they_drive(recording):
-    assert not any(len(overlapping_pairs(recording.vehicles(frame))) for frame in recording.frames)
+    assert not any(len(overlapping_pairs(recording.at(frame))) for frame in recording.frames)
     order = np.lexsort((recording.frame, recording.vehicle_id))
     centre, lane, heading = recording.centre_m[order, :2], recording.lane[order], recording.heading_rad[order]
     moved = np.diff(centre, axis=0)

@@ -35,7 +35,7 @@ def write(tmp_path, header=HEADER, rows=ROWS, name="boxes.csv"):
 def test_boxes_are_read_as_they_are_written(tmp_path):
     recording = read_table(write(tmp_path))
     assert (recording.frames.tolist(), recording.counts.tolist()) == ([10, 20], [2, 1])
-    vehicles = recording.vehicles(10)
+    vehicles = recording.at(10)
     assert vehicles.class_name.tolist() == ["car", "truck"]
     np.testing.assert_array_equal(vehicles.centre_m, [[5.0, 6.0, 0.75], [-20.0, 10.0, 1.9]])
     np.testing.assert_array_equal(vehicles.size_m, [[4.5, 1.9, 1.5], [12.0, 2.5, 3.8]])
@@ -56,7 +56,7 @@ def test_the_format_is_told_by_the_header(tmp_path):
 def test_origin_and_heading_place_the_tables_own_frame_in_the_road_frame(tmp_path):
     """A road that runs due north through (100, 50): what lies east of it is to its right."""
     rows = ["1,7,car,103.0,70.0,0.75,4.5,1.9,1.5,92.0"]
-    vehicles = read_table(write(tmp_path, rows=rows), origin_m=(100.0, 50.0), heading_deg=90.0).vehicles(1)
+    vehicles = read_table(write(tmp_path, rows=rows), origin_m=(100.0, 50.0), heading_deg=90.0).at(1)
     np.testing.assert_allclose(vehicles.centre_m, [[20.0, -3.0, 0.75]], atol=1e-12)
     np.testing.assert_allclose(np.degrees(vehicles.heading_rad), [2.0])
 

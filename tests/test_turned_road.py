@@ -76,7 +76,7 @@ def test_the_same_vehicles_count_among_the_same_things_and_get_the_same_points(s
     assert sum(map(sum, points[0])) > 500
     one, other = sites
     for before, after in zip((*one.search, *one.holdout), (*other.search, *other.holdout), strict=True):
-        same_vehicles(before.vehicles, after.vehicles)
+        same_vehicles(before, after)
         np.testing.assert_array_equal(before.counted, after.counted)
     standing = [site.observation.scenery.scenery.corners for site in sites]
     np.testing.assert_allclose(standing[1], standing[0] @ QUARTER, atol=1e-9)
@@ -92,7 +92,7 @@ def test_data_sets_are_moved_and_mirrored_along_it(sites):
         assert (before.station_m, before.mirrored) == pytest.approx((after.station_m, after.mirrored))
     for number in range(4):
         before, after = sample(one, number), sample(other, number)
-        same_vehicles(before.vehicles, after.vehicles)
+        same_vehicles(before, after)
         np.testing.assert_array_equal(before.points, after.points)
 
 
@@ -105,7 +105,7 @@ def test_detectors_look_at_the_same_places(sites):
 def test_queues_close_up_and_a_barrier_stands_along_it(sites):
     one, other = (jammed(site) for site in sites)
     for before, after in zip(one.search, other.search, strict=True):
-        same_vehicles(before.vehicles, after.vehicles)
+        same_vehicles(before, after)
     one, other = (_with_barrier(site, 5.5).observation.scenery.scenery.corners for site in sites)
     np.testing.assert_allclose(other, one @ QUARTER, atol=1e-9)
 

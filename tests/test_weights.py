@@ -41,7 +41,7 @@ ZONES = [{"name": "left lane", "polygon_m": [[-20.0, 5.5], [20.0, 5.5], [20.0, 9
 
 def weighed(frame):
     """The frame with weights from 0 to 3."""
-    return replace(frame, weight=np.arange(len(frame.vehicles)) % 4.0)
+    return replace(frame, weight=np.arange(len(frame)) % 4.0)
 
 
 def test_a_whole_weight_is_the_vehicle_counted_that_often():
@@ -63,7 +63,7 @@ def test_a_whole_weight_is_the_vehicle_counted_that_often():
 
 
 def test_weights_that_are_all_one_change_no_digit():
-    ones = [replace(frame, weight=np.ones(len(frame.vehicles))) for frame in FRAMES]
+    ones = [replace(frame, weight=np.ones(len(frame))) for frame in FRAMES]
     found = []
     for frames in (FRAMES, ones):
         with Evaluator(frames, SEEN, SCORING) as evaluator:
@@ -155,7 +155,7 @@ def test_studies_and_rungs_of_a_search_see_the_same_weights(run):
     (found,) = landscapes(site, [Job(AS_IT_IS, tuple(LAYOUTS))])
     assert found.per_vehicle() == pytest.approx(totals.per_vehicle(), rel=1e-12)
     assert found.blocks(site.plan.search_block)[1].sum() == totals.weight.sum() != found.vehicles.sum()
-    only_last = [replace(frame, weight=np.zeros(len(frame.vehicles))) for frame in site.search[:-1]]
+    only_last = [replace(frame, weight=np.zeros(len(frame))) for frame in site.search[:-1]]
     rungs = fresh_auto_search(
         replace(site, search=(*only_last, site.search[-1])), site.scenario.deployment.spaces[0]
     ).rungs
@@ -195,7 +195,7 @@ def test_weights_that_cannot_be_are_refused_in_one_line(tmp_path, objective, mes
 
 def test_weights_that_leave_nothing_held_out_are_refused():
     plain = load_scenario("i80").objective
-    weightless = [replace(frame, weight=np.zeros(len(frame.vehicles))) for frame in FRAMES[1:]]
+    weightless = [replace(frame, weight=np.zeros(len(frame))) for frame in FRAMES[1:]]
     check_weights(plain, FRAMES[:1], FRAMES[1:], "[objective]")
     check_weights(plain, FRAMES[:1], [], "[objective]")
     with pytest.raises(InputError, match=r"held-out frames a weight above 0, so that there is no check of the answer"):

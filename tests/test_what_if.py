@@ -35,8 +35,9 @@ from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
 from blender_lidar.statistics import drawn_share_interval_90, share_interval_90
 from blender_lidar.studies.candidates import on_other_side
+from blender_lidar.traffic.boxes import Boxes
 from blender_lidar.traffic.fleet import BUS, CAR, SIZE_M, TRUCK, VAN, lorries_in_place, with_variety
-from blender_lidar.traffic.vehicles import Vehicles, overlapping_pairs
+from blender_lidar.traffic.vehicles import overlapping_pairs
 from tests.small_scene import CASTER, HEADER, MAPPED, done, traffic_rows, without_charts, write_scene, write_table
 from tests.test_heights import SLOPE
 from tests.test_heights import scene as sloping_scene
@@ -68,8 +69,8 @@ def kinds_by_lane(site):
     """Number of vehicles and of lorries in each lane of the road map, (lanes, 2), over the searched frames."""
     road, counts = site.scenario.road_map, np.zeros((len(site.scenario.road_map), 2))
     for frame in site.search:
-        lane = road.locate(frame.vehicles.centre_m).lane
-        large = np.isin(frame.vehicles.class_index, (TRUCK, BUS))
+        lane = road.locate(frame.centre_m).lane
+        large = np.isin(frame.class_index, (TRUCK, BUS))
         for number in range(len(road)):
             counts[number] += [(lane == number).sum(), (large & (lane == number)).sum()]
     return counts
@@ -92,9 +93,7 @@ def test_a_share_of_lorries_is_that_share_of_the_lane_and_has_those_of_a_smaller
         changed = with_lorries(site, (0.0, 0.0), None, share, 3)
         vehicles, large = kinds_by_lane(changed).sum(axis=0)
         found[share] = {
-            (frame.vehicles.frame, int(one))
-            for frame in changed.search
-            for one in frame.vehicles.vehicle_id[frame.vehicles.class_index == TRUCK]
+            (frame.frame, int(one)) for frame in changed.search for one in frame.vehicle_id[frame.class_index == TRUCK]
         }
         if share:
             assert large / vehicles == pytest.approx(share, abs=0.08)
@@ -106,8 +105,8 @@ def test_lorries_add_no_vehicle_where_a_lane_is_empty_on_one_side_of_the_mast(tm
     site = prepare(load_scenario(write_scene(tmp_path)))
     for near in (1, None):
         for frame in with_lorries(site, (0.0, 0.0), near, 1.0, 1).search:
-            recorded = site.recording.vehicles(frame.vehicles.frame)
-            assert set(frame.vehicles.vehicle_id) <= set(recorded.vehicle_id)
+            recorded = site.recording.at(frame.frame)
+            assert set(frame.vehicle_id) <= set(recorded.vehicle_id)
 
 
 def test_a_queue_is_counted_by_the_vehicles_that_it_was_made_of(site, seen):
@@ -173,7 +172,7 @@ def cars(*places, length=4.5, width=1.8):
     size = np.tile([length, width, 1.5], (count, 1))
     centre = np.column_stack([x, y, np.full(count, 0.75)])
     kind = np.full(count, CAR, dtype=np.int8)
-    return Vehicles(0, 0.0, np.arange(count), kind, centre, size, np.radians(heading), np.zeros(count, np.int16))
+    return Boxes(0, 0.0, np.arange(count), kind, centre, size, np.radians(heading), np.zeros(count, np.int16))
 
 
 def fronts(vehicles):
@@ -239,7 +238,7 @@ def driven_scene(folder):
 
 
 def test_at_an_intersection_lorries_come_from_each_approach_that_results_are_told_by(crossing, seen_at_crossing):
-    approaches = {name for frame in crossing.holdout for name in frame.ways["approach"][frame.counted] if name}
+    approaches = {name for frame in crossing.holdout for name in frame.approach[frame.counted] if name}
     rows = [mix for mix in seen_at_crossing["mixes"] if mix["lorries"] is not None]
     assert {mix["approach"] for mix in rows} == {None, *approaches}
     assert [mix["lorries"] for mix in rows if mix["approach"] is None] == list(LORRY_SHARES)
@@ -251,22 +250,22 @@ def test_lorries_of_an_approach_are_those_that_come_from_it(crossing):
     name = "from_east"
     changed = with_lorries_in_place(crossing, name, 1.0, 1)
     for before, after in zip(crossing.search, changed.search, strict=True):
-        kind = dict(zip(before.vehicles.vehicle_id.tolist(), before.vehicles.class_index.tolist(), strict=True))
+        kind = dict(zip(before.vehicle_id.tolist(), before.class_index.tolist(), strict=True))
         became = [
             number
-            for number, now in zip(after.vehicles.vehicle_id.tolist(), after.vehicles.class_index, strict=True)
+            for number, now in zip(after.vehicle_id.tolist(), after.class_index, strict=True)
             if now != kind.get(number, now)
         ]
-        small = np.isin(before.vehicles.class_index, (CAR, VAN)) & (before.ways["approach"] == name)
-        assert set(became) == set(before.vehicles.vehicle_id[small].tolist())
-        there = np.isin(after.vehicles.vehicle_id, became)
-        assert (after.ways["approach"][there] == name).all()
+        small = np.isin(before.class_index, (CAR, VAN)) & (before.approach == name)
+        assert set(became) == set(before.vehicle_id[small].tolist())
+        there = np.isin(after.vehicle_id, became)
+        assert (after.approach[there] == name).all()
 
 
 def test_no_box_of_an_intersection_overlaps_another_that_it_did_not_before(crossing):
     changed = with_lorries_in_place(crossing, None, 1.0, 1)
     for before, after in zip(crossing.search, changed.search, strict=True):
-        (vehicles, lorries), pairs = (before.vehicles, after.vehicles), []
+        (vehicles, lorries), pairs = (before, after), []
         for one in (vehicles, lorries):
             pairs.append({frozenset(one.vehicle_id[list(pair)].tolist()) for pair in overlapping_pairs(one)})
         assert pairs[1] <= pairs[0]
@@ -288,11 +287,7 @@ def test_a_driven_area_has_lorries_too(tmp_path):
     assert "approach west were a lorry, in a queue" in lorries_text({"other_traffic": found})
     large = [with_lorries_in_place(site, None, share, 1) for share in (0.3, 0.6)]
     ids = [
-        {
-            int(number)
-            for frame in one.search
-            for number in frame.vehicles.vehicle_id[frame.vehicles.class_index == TRUCK]
-        }
+        {int(number) for frame in one.search for number in frame.vehicle_id[frame.class_index == TRUCK]}
         for one in large
     ]
     assert ids[0] < ids[1]
@@ -302,8 +297,8 @@ def test_lorries_of_a_map_with_heights_stand_on_its_road(tmp_path):
     site = prepare(sloping_scene(tmp_path, SLOPE))
     assert "every lane" in {mix.lanes for mix in mixes(site, (0.0, 0.0))}
     for frame in with_lorries_in_place(site, None, 1.0, 1).search:
-        centre, size = frame.vehicles.centre_m, frame.vehicles.size_m
-        assert (frame.vehicles.class_index == TRUCK).all()
+        centre, size = frame.centre_m, frame.size_m
+        assert (frame.class_index == TRUCK).all()
         assert (size[:, 0] > 4.5).any()
         floor = centre[:, 2] - 0.5 * size[:, 2]
         np.testing.assert_allclose(floor, site.scenario.road_map.surface.height(centre), atol=1e-9)
@@ -362,9 +357,9 @@ def test_each_frame_is_seen_under_installation_errors_of_its_own(site, planned):
 def test_other_heights_are_those_of_variety_where_a_class_has_one_height(site):
     whole = with_variety(site.recording, 1.0, 3)
     for frame in with_other_heights(site, 3).search:
-        expected = whole.vehicles(frame.vehicles.frame)
-        rows = np.searchsorted(expected.vehicle_id, frame.vehicles.vehicle_id)
-        np.testing.assert_array_equal(frame.vehicles.size_m, expected.size_m[rows])
+        expected = whole.at(frame.frame)
+        rows = np.searchsorted(expected.vehicle_id, frame.vehicle_id)
+        np.testing.assert_array_equal(frame.size_m, expected.size_m[rows])
     assert OTHER_HEIGHTS in [mix.what for mix in mixes(site, (0.0, 0.0))]
 
 

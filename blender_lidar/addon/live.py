@@ -22,7 +22,7 @@ from ..clouds.snapshot import entropy_of_vehicles, vertices_of
 from ..errors import BlenderLidarError, one_line
 from ..scene.mount_checks import check_mount_is_clear
 from ..scene.scenario import Scenario
-from ..traffic.vehicles import Vehicles
+from ..traffic.boxes import Boxes
 from ..world.blender.objects import check_local, frame_of
 from ..world.blender.points import STYLES, cloud_of, colours_by, colours_of, set_look, set_style, show_cloud
 from ..world.blender.preview import VisibleObjects
@@ -57,7 +57,7 @@ class _Shown:
 class _Boxes:
     """The vehicles of a scene, to be drawn in the colours of their entropy."""
 
-    vehicles: Vehicles
+    vehicles: Boxes
     bits: np.ndarray
     batches: tuple | None = None
 
@@ -168,7 +168,7 @@ def _update_one(scene, lidar, shown, objects, graph) -> bool:
     if shown.frame is None or shown.since_s != since_s or session.dragged_off(lidar, mounting):
         shown.frame, shown.since_s = session.live_frame(scene, lidar, depsgraph=graph), since_s
         shown.scenario, shown.baseline = scenarios.scenario_from(scene, lidar), None
-    frame, vehicles = shown.frame, shown.frame.frame.vehicles
+    frame, vehicles = shown.frame, shown.frame.frame
     if scenarios.has_road(scene):
         check_mount_is_clear(shown.scenario, [vehicles], {lidar.name: mounting})
     if shown.baseline is None:
@@ -194,7 +194,7 @@ def _update_layout(scene, hung) -> None:
     cloud = joined_clouds([one.look.cloud for one in shown])
     session.store_layout(scene, hung, [one.frame for one in shown], looks)
     if scenarios.active_lidar(scene) in hung:
-        vehicles = shown[0].frame.frame.vehicles
+        vehicles = shown[0].frame.frame
         bits = entropy_of_vehicles(cloud, vehicles, shown[0].scenario.objective)
         _state.boxes[scenarios.uid_of(scene)] = _Boxes(vehicles, bits)
 
@@ -242,7 +242,7 @@ def _cloud(lidar, shown):
 def _write(lidar, shown, graph=None):
     """Let a cloud be what was seen last, but where undo has ended it, or the LiDAR cannot look."""
     if shown.look is not None and shown.frame is not None and not shown.problem:
-        points = vertices_of(shown.look.cloud, shown.frame.frame.vehicles, shown.bits)
+        points = vertices_of(shown.look.cloud, shown.frame.frame, shown.bits)
         return show_cloud(lidar, points, lidar.blender_lidar.colour_by, lidar.blender_lidar.style, graph)
     return _cloud(lidar, shown)
 
@@ -397,7 +397,7 @@ _FACES = np.array(
 )
 
 
-def box_corners(vehicles: Vehicles) -> np.ndarray:
+def box_corners(vehicles: Boxes) -> np.ndarray:
     """Corners of vehicles' boxes as they are drawn, a little larger than the vehicles, (n, 8, 3) [m]."""
     local = _SIGNS * (vehicles.size_m + 2.0 * _BOX_GAP_M)[:, None]
     cos, sin = np.cos(vehicles.heading_rad)[:, None], np.sin(vehicles.heading_rad)[:, None]

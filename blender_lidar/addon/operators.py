@@ -28,7 +28,8 @@ from ..scene.site import lattice_of, prepare, read_recordings, standing_scenery
 from ..sensors.pose import Pose
 from ..toml_table import read_toml
 from ..traffic import Recording
-from ..traffic.vehicles import SAME_S, Vehicles
+from ..traffic.boxes import Boxes
+from ..traffic.vehicles import SAME_S
 from ..world.blender.objects import (
     FAN,
     PART,
@@ -375,7 +376,7 @@ def _fill_from(scene):
 # --- Scan and score ---------------------------------------------------------------------------------------------------
 
 
-def checked_mount(scene: bpy.types.Scene, lidar: bpy.types.Object) -> tuple[Scenario, Mounting, Vehicles]:
+def checked_mount(scene: bpy.types.Scene, lidar: bpy.types.Object) -> tuple[Scenario, Mounting, Boxes]:
     """The settings of a LiDAR, how it hangs, and the frame that is shown, in which it hangs clear."""
     scenario, mounting = scenarios.scenario_from(scene, lidar), properties.mounting_of(lidar)
     vehicles = session.vehicles_of(scene)
@@ -435,7 +436,7 @@ class BLENDER_LIDAR_OT_set_baseline(NeedsLidar, bpy.types.Operator):
 # --- Export -----------------------------------------------------------------------------------------------------------
 
 
-def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Vehicles]:
+def _mounted(scene: bpy.types.Scene) -> tuple[MountedSensor, Boxes]:
     """The active LiDAR as the command line's `scan` has it, and the frame that is shown."""
     lidar = scenarios.active_lidar(scene)
     vehicles, hung = checked_mount(scene, lidar)[-1], scenarios.layout_of(scene, lidar)

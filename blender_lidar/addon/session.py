@@ -16,12 +16,13 @@ from ..casting.protocol import StandingScenery
 from ..clouds.live import DRAG_M, FusedScores, LiveFrame, Look
 from ..errors import InputError
 from ..scene.mounting import Mounting
-from ..scene.observation import CountedFrame, of_scored_class, vehicle_weights
+from ..scene.observation import of_scored_class, vehicle_weights
 from ..scene.region import region_of
 from ..scene.scenario import Scenario
 from ..scene.site import observation_of, read_recordings, scoring_of, standing_scenery
-from ..traffic import Recording, Vehicles, joined_recordings
-from ..traffic.vehicles import FLEET_KINDS, SAME_S, no_vehicles
+from ..traffic import Recording, joined_recordings
+from ..traffic.boxes import Boxes, no_boxes
+from ..traffic.vehicles import FLEET_KINDS, SAME_S
 from ..world.blender.bodies import OwnBody, body_of
 from ..world.blender.objects import is_shown
 from ..world.blender.road import hidden_ground
@@ -116,7 +117,7 @@ def since_of(scene: bpy.types.Scene) -> float:
     return round(seconds_of(scene) - scene.blender_lidar.starts_s, _DIGITS_S) + 0.0
 
 
-def vehicles_of(scene: bpy.types.Scene) -> Vehicles:
+def vehicles_of(scene: bpy.types.Scene) -> Boxes:
     """The vehicles at the timeline's time: a recorded instant's, or between two; none in a gap, or without traffic.
 
     There are none either where the object that shows them was hidden or deleted.
@@ -127,7 +128,7 @@ def vehicles_of(scene: bpy.types.Scene) -> Vehicles:
         Where the traffic cannot be read.
     """
     if not scene.blender_lidar.loaded:
-        return no_vehicles(shown_frame(scene), seconds_of(scene))
+        return no_boxes(shown_frame(scene), seconds_of(scene))
     found = recording_of(scene).moment(since_of(scene))
     return found if is_traffic_shown(scene) else found.select([])
 
@@ -249,7 +250,7 @@ def live_frame(
     return _FRAMES[key][-1]
 
 
-def moment_key(vehicles: Vehicles) -> tuple[int, float, int]:
+def moment_key(vehicles: Boxes) -> tuple[int, float, int]:
     """What tells moments of a recording apart."""
     return vehicles.frame, vehicles.time_s, len(vehicles)
 
@@ -262,10 +263,10 @@ def dragged_off(lidar: bpy.types.Object, mounting: Mounting) -> bool:
     )
 
 
-def _made_ready(scenario: Scenario, vehicles: Vehicles, whole: Scenario, layout: list[Mounting], bodies) -> LiveFrame:
+def _made_ready(scenario: Scenario, vehicles: Boxes, whole: Scenario, layout: list[Mounting], bodies) -> LiveFrame:
     caster, region = resolve(scenario.model.caster, "caster"), region_of(scenario.region, scenario.road_map)
     counted = region.holds(vehicles) & of_scored_class(vehicles, scenario.objective)
-    frame = CountedFrame(vehicles, counted, vehicle_weights(vehicles, scenario.objective))
+    frame = replace(vehicles, counted=counted, weight=vehicle_weights(vehicles, scenario.objective))
     scenery = standing_scenery(whole, caster, layout, margin_m=2.0 * DRAG_M)
     observation = observation_of(scenario, caster, scenery, bodies=bodies)
     scoring = scoring_of(scenario) if frame.counted.any() else None
@@ -338,7 +339,7 @@ def settings_digest(lidar: bpy.types.Object) -> str:
     return hashlib.sha256(repr(made_with).encode()).hexdigest()
 
 
-def store(lidar: bpy.types.Object, vehicles: Vehicles, look: Look, baseline: Look) -> None:
+def store(lidar: bpy.types.Object, vehicles: Boxes, look: Look, baseline: Look) -> None:
     """Keep with a LiDAR, unless it is linked, what the panel says of a scan: its size and score, and the baseline's."""
     group = lidar.blender_lidar
     if lidar.library is not None:

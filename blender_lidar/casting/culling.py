@@ -17,7 +17,7 @@ import numpy as np
 from ..compiled import compiled, numba_works
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
-from ..traffic.vehicles import Vehicles
+from ..traffic.boxes import Boxes
 from ..world.shapes import shape
 from ..world.triangles import place, shape_names
 from .protocol import Caster, Revolution, take
@@ -50,7 +50,7 @@ class Pieces:
     radius: np.ndarray
 
 
-def cut_vehicles(vehicles: Vehicles, detail: str, own: np.ndarray | None = None) -> Pieces:
+def cut_vehicles(vehicles: Boxes, detail: str, own: np.ndarray | None = None) -> Pieces:
     """Cut each vehicle's shape at the level of detail `detail` along its length, into pieces of `PIECE_LENGTH_M`.
 
     Of those that are `own`, (n,) bool, the box is cut: they have a mesh of the user's.

@@ -13,7 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..traffic.vehicles import FLEET_KINDS, Vehicles, fleet_kind
+from ..traffic.boxes import Boxes
+from ..traffic.vehicles import FLEET_KINDS, fleet_kind
 from ..world.meshes import Shape
 from .protocol import FARTHEST, MISS, Caster, Returns, origins_of
 
@@ -46,7 +47,7 @@ class OwnBodies:
         contents = {kind: (one.vertices[one.faces].tobytes(), one.surface) for kind, one in self.shapes.items()}
         return {kind: hashlib.sha256(b"".join(parts)).hexdigest() for kind, parts in contents.items()}
 
-    def rows(self, vehicles: Vehicles) -> np.ndarray:
+    def rows(self, vehicles: Boxes) -> np.ndarray:
         """Which of the meshes each vehicle has, counted from 0 in their order, (n,) int; -1 for a body of ours."""
         kinds = list(self.shapes)
         own = {kind: kinds.index(kind) for kind in kinds}
@@ -76,13 +77,13 @@ class InstancedTree:
         Of the triangles of all other vehicles.
     count : int
         How many these are.
-    vehicles : Vehicles, of k
+    vehicles : Boxes, of k
         Those that have a mesh of the user's.
     bodies : OwnBodies
         The meshes.
     """
 
-    def __init__(self, base: Caster, count: int, vehicles: Vehicles, bodies: OwnBodies) -> None:
+    def __init__(self, base: Caster, count: int, vehicles: Boxes, bodies: OwnBodies) -> None:
         self._base, self._count, self._mesh = base, count, bodies.rows(vehicles)
         self._trees = [bodies.tree(kind, base.name) for kind in bodies.shapes]
         sizes = np.array([len(shape.faces) for shape in bodies.shapes.values()])

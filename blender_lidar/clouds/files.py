@@ -17,7 +17,8 @@ import numpy as np
 from ..errors import BlenderLidarError, InputError, MissingExtraError, OutputError, one_line
 from ..files import make_folder, number, open_file, read_file, read_npz, reading, write_bytes, write_text
 from ..sensors.pose import Pose
-from ..traffic.vehicles import CLASSES, Vehicles
+from ..traffic.boxes import Boxes
+from ..traffic.vehicles import CLASSES
 from ..world.meshes import BUILDING, CYCLIST, PERSON, ROAD, STRUCTURE, SURFACES, VEGETATION
 from ..world.scenery import NO_LABEL
 from .scan import NO_CLASS, PointCloud, class_names
@@ -439,7 +440,7 @@ SUSTECHPOINTS_PARTS = ("lidar", "label")
 OBJECT_TYPES = ("Car", "Van", "Truck", "Bus", "Motorcycle", "BicycleRider", "Pedestrian")
 
 
-def write_sustechpoints(folder: str | Path, cloud: PointCloud, vehicles: Vehicles, header: dict) -> None:
+def write_sustechpoints(folder: str | Path, cloud: PointCloud, vehicles: Boxes, header: dict) -> None:
     """Write one frame into a scene folder: ``lidar/NNNNNN.pcd`` and ``label/NNNNNN.json``.
 
     Both are in the levelled sensor's frame: x where the LiDAR's +y looks, y to its left, z up. A label is the list of

@@ -18,8 +18,8 @@ from ..metrics.assignment import NO_BOX, points_in_boxes
 from ..metrics.vgop import to_vehicle_frame
 from ..names import FRAMES
 from ..sensors.pose import rotation_matrix
-from ..traffic.boxes import DetectedBoxes, join_boxes
-from ..traffic.vehicles import Vehicles, counted
+from ..traffic.boxes import Boxes, join_boxes
+from ..traffic.vehicles import counted
 
 _WAYS = {"r": (1, 0, 0), "l": (-1, 0, 0), "f": (0, 1, 0), "b": (0, -1, 0), "u": (0, 0, 1), "d": (0, 0, -1)}
 _SIGN = {axes: np.linalg.det([_WAYS[one] for one in axes]) for axes in map("".join, product(_WAYS, repeat=3))}
@@ -203,7 +203,7 @@ class _Pairs(NamedTuple):
 
 
 def cloud_misfit(
-    points: np.ndarray, boxes: Vehicles, own: np.ndarray | None = None, *, options: bool = True
+    points: np.ndarray, boxes: Boxes, own: np.ndarray | None = None, *, options: bool = True
 ) -> Misfit | None:
     """What does not fit between a cloud (n, 3) [m] and b boxes; None where nothing seems wrong.
 
@@ -236,7 +236,7 @@ def cloud_misfit(
     return pairs.misfit(what, 0.5 * len(seen) + 0.1, 0.0, 1, options=options)
 
 
-def detections_misfit(detected: Sequence[DetectedBoxes], frames: Sequence[Vehicles]) -> Misfit | None:
+def detections_misfit(detected: Sequence[Boxes], frames: Sequence[Boxes]) -> Misfit | None:
     """What does not fit between the detections and the vehicles of f frames; None where nothing seems wrong."""
     both = [(one, other) for one, other in zip(detected, frames, strict=True) if len(one) and len(other)]
     both = both[:: sum(len(other) for _, other in both) // _MOST_BOXES + 1]

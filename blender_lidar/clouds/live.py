@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..casting.protocol import Revolution
-from ..scene.observation import CountedFrame, Observation, Scoring
+from ..scene.observation import Observation, Scoring
 from ..scoring.frame_scorer import FrameScorer, FrameShapes
 from ..scoring.scores import Scored, VehicleScores
 from ..sensors.pose import Pose
+from ..traffic.boxes import Boxes
 from .scan import FrameScan, PointCloud, Stands
 
 DRAG_M = 60.0  # so far to each side a LiDAR moves before the tree of the scenery is made again
@@ -47,7 +48,7 @@ class LiveFrame:
 
     Parameters
     ----------
-    frame : CountedFrame
+    frame : Boxes
         The frame, and which of its vehicles are scored.
     observation : Observation
         Sensor, range gate, caster, detail, scenery and imperfections.
@@ -62,13 +63,11 @@ class LiveFrame:
         What it was made of, the observation as it is at the frame's moment.
     """
 
-    def __init__(
-        self, frame: CountedFrame, observation: Observation, scoring: Scoring | None, *, ground: bool = True
-    ) -> None:
-        self.frame, self.scoring, vehicles = frame, scoring, frame.vehicles
-        self.observation = observation = observation.at(vehicles.time_s)
-        self.shapes = FrameShapes(vehicles, frame.counted, observation.detail, observation.caster, observation.bodies)
-        self._scan = FrameScan(self.shapes, vehicles, observation, ground=ground)
+    def __init__(self, frame: Boxes, observation: Observation, scoring: Scoring | None, *, ground: bool = True) -> None:
+        self.frame, self.scoring = frame, scoring
+        self.observation = observation = observation.at(frame.time_s)
+        self.shapes = FrameShapes(frame, observation.detail, observation.caster, observation.bodies)
+        self._scan = FrameScan(self.shapes, frame, observation, ground=ground)
         self._scenery = observation.scenery
         self._about: np.ndarray | None = None  # the middle of where the scenery's tree is ready
         self._scores = None if scoring is None else FusedScores([self])
@@ -105,7 +104,7 @@ class FusedScores:
         self._frame, self._scores = first.frame, VehicleScores(first.scoring, observation, [first.frame])
         # What scenery hides is left out of the hits, as the cloud needs to know of it too.
         observation = replace(observation, scenery=None)
-        self._scorer = FrameScorer(first.frame.vehicles, first.frame.counted, observation, first.shapes)
+        self._scorer = FrameScorer(first.frame, observation, first.shapes)
 
     def of(self, looks: Sequence[Look]) -> Scored:
         """Of the layout of which each LiDAR has looked."""

@@ -16,7 +16,8 @@ from ..scene.observation import Observation
 from ..scoring.frame_scorer import FrameShapes
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
-from ..traffic.vehicles import CLASSES, Vehicles
+from ..traffic.boxes import Boxes
+from ..traffic.vehicles import CLASSES
 from ..world.meshes import GLASS, REFLECTIVITY, ROAD
 from ..world.scenery import NO_LABEL
 from ..world.triangles import STATIC
@@ -116,7 +117,7 @@ class FrameScan:
     ----------
     shapes : FrameShapes
         The frame's vehicles as triangles behind a caster.
-    vehicles : Vehicles
+    vehicles : Boxes
         The frame.
     observation : Observation
         Sensor, range gate, scenery and imperfections: hits become returns by the same `MeasurementModel` as in
@@ -125,9 +126,7 @@ class FrameScan:
         Whether the road, the plane z = 0, returns.
     """
 
-    def __init__(
-        self, shapes: FrameShapes, vehicles: Vehicles, observation: Observation, *, ground: bool = True
-    ) -> None:
+    def __init__(self, shapes: FrameShapes, vehicles: Boxes, observation: Observation, *, ground: bool = True) -> None:
         seen = observation.at(vehicles.time_s)
         self._shapes, self._vehicles, self._seen, self._ground = shapes, vehicles, seen, ground
         self._pieces = cut_vehicles(vehicles, seen.detail, shapes.own) if seen.culled else None
@@ -205,7 +204,7 @@ def _beams_of(lattice: BeamLattice) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return ring.astype(np.uint16), lattice.azimuth_rad(ring, slot), lattice.time_s(ring, slot)
 
 
-def scan(vehicles: Vehicles, observation: Observation, pose: Pose, *, ground: bool = True) -> PointCloud:
+def scan(vehicles: Boxes, observation: Observation, pose: Pose, *, ground: bool = True) -> PointCloud:
     """Cast one revolution over one frame: `FrameScan` for one mounting alone.
 
     Raises
@@ -213,8 +212,7 @@ def scan(vehicles: Vehicles, observation: Observation, pose: Pose, *, ground: bo
     InputError
         When the sensor is not above the ground.
     """
-    none = np.zeros(len(vehicles), dtype=bool)  # nothing is scored
-    shapes = FrameShapes(vehicles, none, observation.detail, observation.caster, observation.bodies)
+    shapes = FrameShapes(vehicles, observation.detail, observation.caster, observation.bodies)
     frame = FrameScan(shapes, vehicles, observation, ground=ground)
     return frame.cloud(pose, frame.turn(pose))
 

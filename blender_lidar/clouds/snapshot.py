@@ -19,8 +19,7 @@ from ..scene.scenario import Scenario
 from ..scene.settings import ObjectiveSettings
 from ..scene.site import lattice_of, observation_of, read_bodies, standing_scenery
 from ..sensors.beams import BeamLattice
-from ..traffic.boxes import DetectedBoxes
-from ..traffic.vehicles import Vehicles
+from ..traffic.boxes import Boxes
 from ..world.needs_blender import blender_room
 from ..world.scenery import Scenery
 from .files import LABELS, LIDARS
@@ -62,12 +61,12 @@ class MountedSensor:
         """What stands there at all times, None where nothing does."""
         return None if self.scenery is None else self.scenery.scenery
 
-    def scan(self, vehicles: Vehicles) -> PointCloud:
+    def scan(self, vehicles: Boxes) -> PointCloud:
         """One revolution over a frame, ground included."""
         observation = observation_of(self.scenario, self.caster, self.scenery, bodies=self.bodies)
         return scan(vehicles, observation, self.mounting.pose, ground=self.scenario.plane_returns)
 
-    def cloud_header(self, vehicles: Vehicles) -> dict[str, object]:
+    def cloud_header(self, vehicles: Boxes) -> dict[str, object]:
         """What made the cloud of a frame, for the file that holds it."""
         lattice, sensor, slopes = self.lattice, self.scenario.sensor, self.scenario.road.slopes
         return {
@@ -87,7 +86,7 @@ class MountedSensor:
             **({LABELS: labels} if (labels := self.stands and self.stands.labels) else {}),
         }
 
-    def moment(self, vehicles: Vehicles, detections: Mapping[int, DetectedBoxes], points: Mapping | None) -> Moment:
+    def moment(self, vehicles: Boxes, detections: Mapping[int, Boxes], points: Mapping | None) -> Moment:
         """A frame, the `points` that the sensor sees of it and what a detector found, for `world.blender.scene`."""
         return blender_room("scene", "a scene to be shown").Moment(
             road=self.scenario.road_map,
@@ -119,10 +118,10 @@ def mounted_sensors(
 def fused_moment(
     scenario: Scenario,
     sensors: Sequence[MountedSensor],
-    vehicles: Vehicles,
+    vehicles: Boxes,
     *,
     with_cloud: bool = True,
-    detections: Mapping[int, DetectedBoxes] = MappingProxyType({}),
+    detections: Mapping[int, Boxes] = MappingProxyType({}),
 ) -> Moment:
     """A frame under all LiDARs of a scene, each with its own cloud; PE-VGOP in them is that of all points together."""
     points: list[Mapping | None] = [None] * len(sensors)
@@ -134,7 +133,7 @@ def fused_moment(
     return replace(first, settings=scenario.with_whole_paths(), further=tuple(further))
 
 
-def fused_header(sensors: Sequence[MountedSensor], vehicles: Vehicles) -> dict[str, object]:
+def fused_header(sensors: Sequence[MountedSensor], vehicles: Boxes) -> dict[str, object]:
     """What made the joined cloud of a frame: the header of each LiDAR's, by its name; that of a single one as it is.
 
     `pose` is the first LiDAR's, in whose levelled frame formats of a sensor's frame have all points.
@@ -146,7 +145,7 @@ def fused_header(sensors: Sequence[MountedSensor], vehicles: Vehicles) -> dict[s
     return {key: rows[0][key] for key in shared if key in rows[0]} | {LIDARS: rows}
 
 
-def vertices_of(cloud: PointCloud, vehicles: Vehicles, entropy_bits: np.ndarray, lidar: int = 0) -> dict:
+def vertices_of(cloud: PointCloud, vehicles: Boxes, entropy_bits: np.ndarray, lidar: int = 0) -> dict:
     """A cloud, and PE-VGOP (v,) of the frame's vehicles, as `world.blender.points.show_cloud` takes them.
 
     Points that lie on no vehicle have 0 bits; `lidar` is the number of the LiDAR that has measured them.
@@ -168,7 +167,7 @@ def vertices_of(cloud: PointCloud, vehicles: Vehicles, entropy_bits: np.ndarray,
 
 
 def entropy_of_vehicles(
-    cloud: PointCloud, vehicles: Vehicles, objective: ObjectiveSettings, look: Look | None = None
+    cloud: PointCloud, vehicles: Boxes, objective: ObjectiveSettings, look: Look | None = None
 ) -> np.ndarray:
     """PE-VGOP (Eq. 9) of every vehicle of a frame in a cloud of it, (v,) [bits].
 
@@ -189,5 +188,4 @@ def entropy_of_vehicles(
 def _on_vehicles(cloud, vehicles):
     """The points that lie on vehicles, and the rows of these."""
     mine = np.flatnonzero(cloud.vehicle_id >= 0)
-    order = np.argsort(vehicles.vehicle_id)
-    return mine, order[np.searchsorted(vehicles.vehicle_id, cloud.vehicle_id[mine], sorter=order)]
+    return mine, vehicles.rows_of(cloud.vehicle_id[mine])

@@ -54,7 +54,7 @@ from ..scene.settings import ModelSettings
 from ..scene.site import Site, prepare
 from ..scoring.evaluation import Evaluator, workplace_of
 from ..toml_table import settings_of
-from ..traffic.boxes import DetectedBoxes
+from ..traffic.boxes import Boxes
 from ..traffic.vehicles import counted
 from .cloud_options import recorded_settings
 from .options import default_folder, given_options, layout_from, new_folder, scenario_from
@@ -189,7 +189,7 @@ def judge_at(site: Site, layout: Layout, detector: str, folder: Path) -> dict:
     return result
 
 
-def _write(folder: Path, found: Mapping[str, tuple[Mapping[int, DetectedBoxes], Poses]], result: dict) -> None:
+def _write(folder: Path, found: Mapping[str, tuple[Mapping[int, Boxes], Poses]], result: dict) -> None:
     """Detections as CSV and as KITTI's labels, by the ends of their names, and the scores, in place of earlier ones.
 
     Labels of several LiDARs together are in the frame of the first.

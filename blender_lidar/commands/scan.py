@@ -35,8 +35,7 @@ from ..scene.scenario import Scenario, load_scenario
 from ..scene.site import frame_of, read_recording
 from ..toml_table import Setting, checked
 from ..traffic import Recording
-from ..traffic.boxes import DetectedBoxes
-from ..traffic.vehicles import Vehicles
+from ..traffic.boxes import Boxes
 from ..world.needs_blender import blender_room
 from .options import layout_from, parse_frames, scenario_from
 from .parsers import SUSTECHPOINTS
@@ -52,7 +51,7 @@ def _numbers(args: argparse.Namespace) -> list[int]:
 
 def _asked(
     args: argparse.Namespace, scenario: Scenario, numbers: list[int]
-) -> tuple[tuple[MountedSensor, ...], Recording, list[Vehicles]]:
+) -> tuple[tuple[MountedSensor, ...], Recording, list[Boxes]]:
     """The sensors as they are asked to hang, the recording, and its frames, in none of which one stands in traffic."""
     sensors, recording = mounted_sensors(scenario, layout_from(args, scenario)), read_recording(scenario)
     option = "--frame" if args.sequence is None else "--frame-ids"
@@ -111,7 +110,7 @@ def run_scan(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write(path: Path, cloud: PointCloud, header: dict, vehicles: Vehicles, form: str | None) -> None:
+def _write(path: Path, cloud: PointCloud, header: dict, vehicles: Boxes, form: str | None) -> None:
     """One cloud; where its format has no room for a matrix of a frame, the header goes into a .json beside it."""
     if form == SUSTECHPOINTS:
         write_sustechpoints(path, cloud, vehicles, header)
@@ -161,7 +160,7 @@ def run_build(args: argparse.Namespace) -> int:
     detections = _detections(args.detections, [sensor.mounting for sensor in sensors])
     moment = fused_moment(scenario, sensors, frames[0], with_cloud=not args.no_cloud, detections=detections)
     moment = replace(moment, since_s=float(recording.since_s[recording.frames.searchsorted(frames[0].frame)]))
-    scene.save_blend(args.out, moment, recording.where(np.isin(recording.frame, numbers)) if animated else None)
+    scene.save_blend(args.out, moment, recording.select(np.isin(recording.frame, numbers)) if animated else None)
     clouds = [] if args.no_cloud else [len(one.points["xyz"]) for one in (moment, *moment.further)]
     points = f"{sum(clouds)} points" if clouds else "no cloud"
     moving = f" driving through {len(frames)} frames" if animated else ""
@@ -173,7 +172,7 @@ def run_build(args: argparse.Namespace) -> int:
     return 0
 
 
-def _detections(path: str | Path | None, layout: Sequence[Mounting]) -> dict[int, DetectedBoxes]:
+def _detections(path: str | Path | None, layout: Sequence[Mounting]) -> dict[int, Boxes]:
     """What a file says was found in a layout, by frame; nothing without a file."""
     if len(layout) > 1 and path is not None and Path(path).is_dir():
         raise InputError(f"--detections: {path}: KITTI's labels are of one LiDAR; allowed: CSV or nuScenes' JSON")
@@ -231,7 +230,7 @@ def _detected_files(path: str | None) -> dict[str, Path | None]:
     return {"baseline": beside if beside.exists() else None, "optimised": given}
 
 
-def _fullest_frame(run: RunFolder, path: str | None, detections: Mapping[int, DetectedBoxes]) -> int:
+def _fullest_frame(run: RunFolder, path: str | None, detections: Mapping[int, Boxes]) -> int:
     """The searched frame with the most counted vehicles, or the fullest of those that a file has detections of."""
     table = run.optimised
     asked = table["split"] == "search" if path is None else np.isin(table["frame"], list(detections))

@@ -21,8 +21,8 @@ from ..metrics.vgop import entropy, to_vehicle_frame
 from ..optimise import detectable
 from ..report.summary import warnings_text
 from ..traffic import read_table
+from ..traffic.boxes import Boxes
 from ..traffic.tracks import NUMBERED
-from ..traffic.vehicles import Vehicles
 from .cloud_options import ScoreOptions
 from .options import options_of
 
@@ -51,7 +51,7 @@ def score_table(
     metrics: Sequence[Metric],
     points: np.ndarray,
     vehicle_id: np.ndarray | None,
-    vehicles: Vehicles,
+    vehicles: Boxes,
 ) -> tuple[dict[str, np.ndarray], list[dict[str, str]]]:
     """Scores of the vehicles of a labelled cloud, by column, and what of its frame was accepted.
 
@@ -104,7 +104,7 @@ def _column(metric: Metric) -> str:
     return _ALWAYS.get(metric.name, metric.name.replace("-", "_"))
 
 
-def boxes_of(asked: ScoreOptions, boxes: str | Mapping) -> Vehicles:
+def boxes_of(asked: ScoreOptions, boxes: str | Mapping) -> Boxes:
     """Of a table of boxes, a file or itself, those of the frame that is asked for."""
     recording = read_table(boxes).vehicles_alone
     if asked.assign == "id" and any(note.startswith(NUMBERED) for note in recording.report.notes):
@@ -112,7 +112,7 @@ def boxes_of(asked: ScoreOptions, boxes: str | Mapping) -> Vehicles:
     frames = recording.frames
     if asked.frame is None and len(frames) > 1:
         raise InputError(f"{asked.boxes}: holds frames {frames[0]} to {frames[-1]}; name one with --frame")
-    return recording.vehicles(int(frames[0]) if asked.frame is None else asked.frame)
+    return recording.at(int(frames[0]) if asked.frame is None else asked.frame)
 
 
 def _assigned(asked: ScoreOptions, points, vehicle_id, vehicles) -> np.ndarray:
@@ -121,9 +121,7 @@ def _assigned(asked: ScoreOptions, points, vehicle_id, vehicles) -> np.ndarray:
         return points_in_boxes(points, vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, asked.clearance_m)
     if vehicle_id is None:
         raise InputError(f"--points: {asked.points}: does not say which vehicle a point belongs to; use --assign box")
-    order = np.argsort(vehicles.vehicle_id)
-    at = np.clip(np.searchsorted(vehicles.vehicle_id, vehicle_id, sorter=order), 0, len(order) - 1)
-    row = np.where(vehicles.vehicle_id[order[at]] == vehicle_id, order[at], NO_BOX)
+    row = vehicles.rows_of(vehicle_id)
     if (row == NO_BOX).all() and (vehicle_id >= 0).any():
         text = f"{asked.points}: none of its vehicles is among the boxes of frame {vehicles.frame} in {asked.boxes}"
         warnings.warn(text, stacklevel=2)

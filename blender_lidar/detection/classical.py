@@ -14,7 +14,7 @@ from ..clouds.scan import PointCloud
 from ..errors import MissingExtraError
 from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
-from ..traffic.boxes import KINDS, DetectedBoxes, boxes_of_rows, no_boxes, suppressed
+from ..traffic.boxes import KINDS, Boxes, boxes_of_rows, no_boxes, suppressed
 from .ground import Ground, fit_ground
 
 _CAR, _LARGE, _SMALL = (KINDS.index(name) for name in ("car", "truck or bus", "motorcycle"))
@@ -110,7 +110,7 @@ class ClassicalDetector:
         """Nothing: it learns from where it looks."""
         return ()
 
-    def detect(self, cloud: PointCloud) -> tuple[DetectedBoxes, None]:
+    def detect(self, cloud: PointCloud) -> tuple[Boxes, None]:
         """The vehicles of one frame, and nothing for `notes`."""
         return early_fusion([self], [self.foreground(cloud)]), None
 
@@ -152,9 +152,7 @@ class ClassicalDetector:
         return (*(turn @ centre).tolist(), 0.5 * height, *size.tolist(), height, heading, kind, confidence)
 
 
-def early_fusion(
-    detectors: Sequence[ClassicalDetector], foregrounds: Sequence[tuple[np.ndarray, Ground]]
-) -> DetectedBoxes:
+def early_fusion(detectors: Sequence[ClassicalDetector], foregrounds: Sequence[tuple[np.ndarray, Ground]]) -> Boxes:
     """The vehicles of one frame in the clouds of several LiDARs together: each one's `foreground`, clustered as one."""
     parts, grounds = zip(*foregrounds, strict=True)
     points, owner = np.concatenate(parts), np.repeat(np.arange(len(parts)), list(map(len, parts)))

@@ -30,7 +30,8 @@ from ..scoring.frame_scorer import FrameShapes
 from ..scoring.workers import Workers
 from ..sensors.beams import BeamLattice
 from ..sensors.pose import Pose
-from ..traffic.vehicles import PEDESTRIAN, Vehicles, rectangles_overlap
+from ..traffic.boxes import Boxes
+from ..traffic.vehicles import PEDESTRIAN, rectangles_overlap
 from ..world.triangles import place
 from .judge import believed, hung_off_by
 
@@ -90,7 +91,7 @@ class DatasetPlan:
         Where vehicles count.
     reach_m : float
         How far from its middle vehicles are looked at [m].
-    frames : tuple of Vehicles
+    frames : tuple of Boxes
         The searched and the held-out frames, as recorded.
     blocks, recordings : ndarray of int64, (f,)
         Block of time of each frame, of which each split counts its own, and its recording, from 0.
@@ -109,7 +110,7 @@ class DatasetPlan:
     observation: Observation
     region: Region
     reach_m: float
-    frames: tuple[Vehicles, ...]
+    frames: tuple[Boxes, ...]
     blocks: np.ndarray
     recordings: np.ndarray
     mounts: tuple[Mounting, ...]
@@ -135,10 +136,9 @@ class Sample:
         The planned pose in the frame of the road.
     cloud : PointCloud
         In the road frame; where the LiDAR hangs off its plan, in the one that follows from the plan.
-    vehicles : Vehicles
-        All v within reach, moved and mirrored as the cloud is.
-    counted : ndarray of bool, (v,)
-        Those that a detector is judged by: in the region, and labelled.
+    vehicles : Boxes
+        All v within reach, moved and mirrored as the cloud is; those with `counted`, in the region and labelled, are
+        what a detector is judged by.
     labelled : ndarray of bool, (v,)
         Those to learn from: in the region or within the range gate and, in a validating scan, of none that trains. The
         others are neither hits nor false alarms.
@@ -152,8 +152,7 @@ class Sample:
     scan: PlannedScan
     pose: Pose
     cloud: PointCloud
-    vehicles: Vehicles
-    counted: np.ndarray
+    vehicles: Boxes
     labelled: np.ndarray
     points: np.ndarray
     visibility: np.ndarray
@@ -180,7 +179,7 @@ def plan_dataset(
     as_recorded : bool
         Neither move nor mirror the traffic.
     """
-    frames = tuple(map(site.recording.vehicles, (*site.plan.search.tolist(), *site.plan.holdout.tolist())))
+    frames = tuple(map(site.recording.at, (*site.plan.search.tolist(), *site.plan.holdout.tolist())))
     scans = len(frames) * mountings if scans is None else scans
     mounts = tuple(_mount(site.scenario, seed, number) for number in range(mountings))
     notes, axis = [] if len(site.plan.holdout) else ["no frame is held out, so there are no validation scans"], None
@@ -216,7 +215,7 @@ def plan_dataset(
     taught = [nobody]
     for scan in planned:
         if scan.split == TRAIN:
-            vehicles, _, labelled = _traffic(plan, scan)
+            vehicles, labelled = _traffic(plan, scan)
             taught.append(vehicles.vehicle_id[labelled])
     return replace(plan, taught_ids=np.unique(np.concatenate(taught)))
 
@@ -230,7 +229,7 @@ def _mount(scenario: Scenario, seed: int, number: int) -> Mounting:
     return mounting
 
 
-def _axis(frames: Iterable[Vehicles], road: RoadMap) -> np.ndarray | None:
+def _axis(frames: Iterable[Boxes], road: RoadMap) -> np.ndarray | None:
     """Unit vector (2,) along a straight road, where nearly all drive along it, one way or the other; else None."""
     if (axis := road.axis) is None:
         return None
@@ -247,7 +246,7 @@ def _mirror(axis: np.ndarray) -> np.ndarray:
 class _Stations:
     """Where along a straight road the site may stand: with traffic all over it, and none where the LiDAR's pole is."""
 
-    def __init__(self, site: Site, frames: Iterable[Vehicles], axis: np.ndarray) -> None:
+    def __init__(self, site: Site, frames: Iterable[Boxes], axis: np.ndarray) -> None:
         region, self._axis = site.region, axis
         self._boxes = [
             np.concatenate([getattr(vehicles, name) for vehicles in frames])
@@ -286,7 +285,7 @@ class _Stations:
         return not rectangles_overlap(centre[near, :2], 0.5 * size[near, :2], heading[near], *passing).any()
 
 
-def _moved(vehicles: Vehicles, station_m: float, mirrored: bool, axis: np.ndarray | None) -> Vehicles:
+def _moved(vehicles: Boxes, station_m: float, mirrored: bool, axis: np.ndarray | None) -> Boxes:
     """A frame seen from a station of a straight road, and mirrored there: along x, a heading h becomes pi - h."""
     if not (station_m or mirrored):
         return vehicles
@@ -298,8 +297,8 @@ def _moved(vehicles: Vehicles, station_m: float, mirrored: bool, axis: np.ndarra
     return replace(vehicles, centre_m=np.column_stack([xy, vehicles.centre_m[:, 2]]), heading_rad=heading)
 
 
-def _traffic(plan: DatasetPlan, scan: PlannedScan) -> tuple[Vehicles, np.ndarray, np.ndarray]:
-    """The vehicles of a scan within reach, and which of them are counted and labelled."""
+def _traffic(plan: DatasetPlan, scan: PlannedScan) -> tuple[Boxes, np.ndarray]:
+    """The vehicles of a scan within reach, those that count, and which of them are labelled."""
     axis = plan.scenario.road_map.axis
     vehicles = _moved(plan.frames[scan.frame], scan.station_m, scan.mirrored, axis)
     vehicles = vehicles.select(plan.region.distance(vehicles) <= plan.reach_m)
@@ -309,7 +308,7 @@ def _traffic(plan: DatasetPlan, scan: PlannedScan) -> tuple[Vehicles, np.ndarray
     labelled = plan.region.holds(vehicles) | (away <= plan.observation.lidar.max_range_m)
     if scan.split == VAL:
         labelled &= ~np.isin(vehicles.vehicle_id, plan.taught_ids)
-    return vehicles, inside & labelled, labelled
+    return replace(vehicles, counted=inside & labelled), labelled
 
 
 # --- Samples ----------------------------------------------------------------------------------------------------------
@@ -318,25 +317,21 @@ def _traffic(plan: DatasetPlan, scan: PlannedScan) -> tuple[Vehicles, np.ndarray
 def sample(plan: DatasetPlan, number: int) -> Sample:
     """The sample of a number: the same in every order and process."""
     scan = plan.scans[number]
-    vehicles, counted, labelled = _traffic(plan, scan)
+    vehicles, labelled = _traffic(plan, scan)
     seen = replace(
         plan.observation.with_lidar(imperfections=replace(plan.observation.lidar.imperfections, seed=scan.seed)),
         scenery=_scenery(plan, scan),
     )
-    none = np.zeros(len(vehicles), dtype=bool)
-    shapes = FrameShapes(vehicles, none, seen.detail, seen.caster, seen.bodies)
+    shapes = FrameShapes(vehicles, seen.detail, seen.caster, seen.bodies)
     frame = FrameScan(shapes, vehicles, seen, ground=plan.scenario.plane_returns)
     hangs = scan.hangs.pose
     turn = frame.turn(hangs)
     cloud = frame.cloud(hangs, turn)
     visibility = visible_share(vehicles, seen.lattice, hangs, turn, seen.lidar.max_range_m)
-    order = np.argsort(vehicles.vehicle_id)
-    on_one = cloud.vehicle_id[cloud.vehicle_id >= 0]
-    row = order[np.searchsorted(vehicles.vehicle_id, on_one, sorter=order)]
-    points = np.bincount(row, minlength=len(vehicles))
+    points = np.bincount(vehicles.rows_of(cloud.vehicle_id[cloud.vehicle_id >= 0]), minlength=len(vehicles))
     if scan.hangs != scan.mount:
         cloud = believed(cloud, hangs, scan.mount.pose)
-    return Sample(scan, scan.mount.pose, cloud, vehicles, counted, labelled, points, visibility)
+    return Sample(scan, scan.mount.pose, cloud, vehicles, labelled, points, visibility)
 
 
 def samples(plan: DatasetPlan, numbers: Iterable[int] | None = None, workers: int = 1) -> Iterator[Sample]:
@@ -363,7 +358,7 @@ _HALF = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (
 _ROUNDING_M = 1e-6
 
 
-def visible_share(vehicles: Vehicles, lattice: BeamLattice, pose: Pose, turn: Turn, max_range_m: float) -> np.ndarray:
+def visible_share(vehicles: Boxes, lattice: BeamLattice, pose: Pose, turn: Turn, max_range_m: float) -> np.ndarray:
     """How much of each vehicle nothing hides, (v,), 0 to 1.
 
     Of the beams that would enter its box within `max_range_m`, the share that meets nothing before; 0 without such a

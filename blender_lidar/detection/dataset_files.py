@@ -256,17 +256,12 @@ def _box_columns(made: Sample) -> dict[str, np.ndarray]:
     vehicles = made.vehicles
     away = vehicles.centre_m[:, :2] - made.pose.position[:2]
     return {
-        "frame": np.full(len(vehicles), vehicles.frame),
-        "vehicle_id": vehicles.vehicle_id,
-        "class": vehicles.class_name,
-        **dict(zip(("x_m", "y_m", "z_m"), vehicles.centre_m.T, strict=True)),
-        **dict(zip(("length_m", "width_m", "height_m"), vehicles.size_m.T, strict=True)),
-        "heading_deg": np.degrees(vehicles.heading_rad),
+        **vehicles.table(),
         "distance_m": np.hypot(*away.T),
         "points": made.points,
         "visibility": made.visibility,
         "labelled": made.labelled,
-        "counted": made.counted,
+        "counted": vehicles.counted,
     }
 
 
@@ -283,7 +278,8 @@ def _write_npz(folder: Path, made: Sample, plan: DatasetPlan) -> None:
         "centre_m": vehicles.centre_m,
         "size_m": vehicles.size_m,
         "heading_deg": np.degrees(vehicles.heading_rad),
-        **{name: getattr(made, name) for name in ("points", "visibility", "labelled", "counted")},
+        **{name: getattr(made, name) for name in ("points", "visibility", "labelled")},
+        "counted": vehicles.counted,
     }
     more = {f"box_{name}": values for name, values in boxes.items()}
     path = folder / "npz" / f"{file_name(scan.number)}.npz"

@@ -16,8 +16,7 @@ from ..errors import InputError, MissingFileError, printable, unknown_name
 from ..files import make_folder, read_text, reading, write_columns, write_text
 from ..road.road_map import wrap_angle
 from ..sensors.pose import Pose
-from ..traffic.boxes import KINDS, DetectedBoxes, boxes_of_rows, join_boxes
-from ..traffic.vehicles import Vehicles
+from ..traffic.boxes import KINDS, Boxes, boxes_of_rows, detected_boxes, join_boxes
 
 _CAR, _LARGE, _SMALL = range(len(KINDS))
 _KINDS_OF_NAMES = {
@@ -41,7 +40,7 @@ Poses = Pose | Sequence[Pose]
 """The LiDAR's pose in all frames, or one for each number from 0 on."""
 
 
-def read_detected(path: str | Path, poses: Poses) -> dict[int, DetectedBoxes]:
+def read_detected(path: str | Path, poses: Poses) -> dict[int, Boxes]:
     """The detections of frames in the road frame, by the number of their frame.
 
     What is no vehicle is left out: pedestrians, cones.
@@ -92,27 +91,22 @@ def _kind(name: str, where: str) -> int | None:
 # --- CSV --------------------------------------------------------------------------------------------------------------
 
 
-def write_detected(path: str | Path, of_frame: Mapping[int, DetectedBoxes]) -> None:
+def write_detected(path: str | Path, of_frame: Mapping[int, Boxes]) -> None:
     """Write detections as CSV: ``frame, class, x_m ... heading_deg, confidence``, by box centres in the road frame."""
-    boxes, numbers = join_boxes(list(of_frame.values())), list(of_frame)
-    columns = {
-        "frame": np.repeat(np.array(numbers, dtype=np.int64), [len(one) for one in of_frame.values()]),
-        "class": np.array(KINDS)[boxes.kind],
-        **dict(zip(("x_m", "y_m", "z_m"), boxes.centre_m.T, strict=True)),
-        **dict(zip(("length_m", "width_m", "height_m"), boxes.size_m.T, strict=True)),
-        "heading_deg": np.degrees(boxes.heading_rad),
-        "confidence": boxes.confidence,
-    }
+    boxes = join_boxes(list(of_frame.values()))
+    columns = boxes.table() | {"class": np.array(KINDS)[boxes.kind], "confidence": boxes.confidence}
+    columns["frame"] = np.repeat(np.array([*of_frame], dtype=np.int64), [len(one) for one in of_frame.values()])
+    del columns["vehicle_id"]
     digits = {name: 3 for name in columns if name.endswith("_m")}
     write_columns(path, columns, {**digits, "heading_deg": 2, "confidence": 6})
 
 
-def _read_csv(path: Path) -> dict[int, DetectedBoxes]:
+def _read_csv(path: Path) -> dict[int, Boxes]:
     rows = read_whole(path, laid_out(path, ("class", *_COLUMNS)), _COLUMNS, ["class"])
     value = rows.columns
     kind = [_kind(name, rows.where(row)) for row, name in enumerate(value["class"].tolist())]
     kind = np.array([-1 if one is None else one for one in kind], dtype=np.int8)
-    boxes = DetectedBoxes(
+    boxes = detected_boxes(
         np.column_stack([value[name] for name in ("x_m", "y_m", "z_m")]),
         np.column_stack([value[name] for name in ("length_m", "width_m", "height_m")]),
         np.radians(value["heading_deg"]),
@@ -122,14 +116,14 @@ def _read_csv(path: Path) -> dict[int, DetectedBoxes]:
     return _by_frame(value["frame"].astype(np.int64)[kind >= 0], boxes.select(kind >= 0))
 
 
-def _by_frame(frame: np.ndarray, boxes: DetectedBoxes) -> dict[int, DetectedBoxes]:
+def _by_frame(frame: np.ndarray, boxes: Boxes) -> dict[int, Boxes]:
     return {int(number): boxes.select(frame == number) for number in np.unique(frame)}
 
 
 # --- KITTI's label text -----------------------------------------------------------------------------------------------
 
 
-def kitti_camera(boxes: DetectedBoxes | Vehicles, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+def kitti_camera(boxes: Boxes, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
     """Boxes as KITTI's labels have them: bottom centres (n, 3) [m] and rotation_y (n,) [rad].
 
     The LiDAR frame is that of the ``.bin`` files of `clouds.files`: levelled, x along the LiDAR's +y, y along its -x, z
@@ -148,7 +142,7 @@ def from_kitti_camera(bottom: np.ndarray, height: np.ndarray, rotation_y: np.nda
     return pose.position + centre, wrap_angle(pose.yaw - rotation_y)
 
 
-def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes], poses: Poses) -> None:
+def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, Boxes], poses: Poses) -> None:
     """Write detections as KITTI's label texts with scores, ``NNNNNN.txt`` by frame, in the frame of `kitti_camera`.
 
     There is no image: its box is -1, truncation, occlusion and alpha are not known.
@@ -161,7 +155,7 @@ def write_kitti_labels(folder: str | Path, of_frame: Mapping[int, DetectedBoxes]
         write_text(Path(folder) / f"{number:06d}.txt", text)
 
 
-def kitti_labels(heads: Sequence[str], boxes: DetectedBoxes | Vehicles, pose: Pose, scores: Sequence[str] = ()) -> str:
+def kitti_labels(heads: Sequence[str], boxes: Boxes, pose: Pose, scores: Sequence[str] = ()) -> str:
     """Lines of KITTI's label text: type, truncation, occlusion and alpha, no box in an image, the box, a score."""
     bottom, rotation_y = kitti_camera(boxes, pose)
     return "".join(
@@ -172,14 +166,14 @@ def kitti_labels(heads: Sequence[str], boxes: DetectedBoxes | Vehicles, pose: Po
     )
 
 
-def _read_kitti(folder: Path, poses: Poses) -> dict[int, DetectedBoxes]:
+def _read_kitti(folder: Path, poses: Poses) -> dict[int, Boxes]:
     paths = sorted(path for path in folder.glob("*.txt") if re.fullmatch("-?[0-9]+", path.stem))
     if not paths:
         raise MissingFileError(f"{folder}: has no KITTI label texts, named like 000100.txt")
     return {int(path.stem): _kitti_boxes(path, _pose(poses, int(path.stem), folder)) for path in paths}
 
 
-def _kitti_boxes(path: Path, pose: Pose) -> DetectedBoxes:
+def _kitti_boxes(path: Path, pose: Pose) -> Boxes:
     rows = [
         (x, y, z, length, width, height, turn, kind, score)
         for where, name, (height, width, length, x, y, z, turn, score) in kitti_lines(path, (16,))
@@ -187,7 +181,7 @@ def _kitti_boxes(path: Path, pose: Pose) -> DetectedBoxes:
     ]
     boxes = boxes_of_rows(rows)
     centre, heading = from_kitti_camera(boxes.centre_m, boxes.size_m[:, 2], boxes.heading_rad, pose)
-    return DetectedBoxes(centre, boxes.size_m, heading, boxes.kind, boxes.confidence)
+    return detected_boxes(centre, boxes.size_m, heading, boxes.kind, boxes.confidence)
 
 
 def kitti_lines(path: Path, fields: Sequence[int]) -> Iterator[tuple[str, str, list[float]]]:
@@ -234,7 +228,7 @@ def _check(row: Sequence[float], where: str) -> None:
 _FRAME_AT_END = re.compile(r"(?:.*[^0-9A-Za-z])?([0-9]{1,18})")
 
 
-def _read_nuscenes(path: Path) -> dict[int, DetectedBoxes]:
+def _read_nuscenes(path: Path) -> dict[int, Boxes]:
     text = text_of(path)
     try:
         content = json.loads(text)
@@ -243,7 +237,7 @@ def _read_nuscenes(path: Path) -> dict[int, DetectedBoxes]:
     results = content.get("results") if isinstance(content, dict) else None
     if not isinstance(results, dict):
         raise InputError(f"{path}: has no 'results' by sample tokens, as nuScenes' detections have")
-    found: dict[int, DetectedBoxes] = {}
+    found: dict[int, Boxes] = {}
     for token, entries in results.items():
         where = f"{path}: {printable(token)}"
         number = _FRAME_AT_END.fullmatch(token)

@@ -18,14 +18,12 @@ from ..clouds.snapshot import MountedSensor
 from ..errors import InputError
 from ..scene.installation import installed
 from ..scene.mounting import Layout, Mounting
-from ..scene.observation import WAY_COLUMNS, CountedFrame
 from ..scene.region import Region
 from ..scene.scenario import Scenario
 from ..scene.site import Site
 from ..scoring.workers import Workers
 from ..sensors.pose import Pose
-from ..traffic.boxes import KINDS, DetectedBoxes, late_fusion, no_boxes
-from ..traffic.vehicles import Vehicles
+from ..traffic.boxes import KINDS, Boxes, late_fusion, no_boxes
 from .classical import ClassicalDetector, early_fusion
 from .files import Poses, read_detected
 from .pillars import SHIPPED, PillarsDetector
@@ -38,7 +36,7 @@ class Detector(Protocol):
     name: str
     learns: bool
 
-    def detect(self, cloud: PointCloud) -> tuple[DetectedBoxes, Any]:
+    def detect(self, cloud: PointCloud) -> tuple[Boxes, Any]:
         """The vehicles of one frame, and what `notes` needs to know of it."""
 
     def notes(self, seen: Sequence[Any]) -> Sequence[str]:
@@ -80,7 +78,7 @@ def detector_at(site: Site, mounting: Mounting, name: str) -> Detector:
     if name == ClassicalDetector.name:
         return ClassicalDetector(seen.lattice, mounting.xy, seen.lidar.imperfections)
     found = PillarsDetector(seen.lattice.model.name, mounting.pose, *watched(site), weights_of(name))
-    heading = np.concatenate([frame.vehicles.heading_rad[frame.counted] for frame in site.search])
+    heading = np.concatenate([frame.heading_rad[frame.counted] for frame in site.search])
     found.check_headings(heading)
     return found
 
@@ -96,7 +94,7 @@ def watched(site: Site) -> tuple[np.ndarray, np.ndarray]:
         corners = np.concatenate(region.outlines)
         return corners.min(axis=0), corners.max(axis=0)
     low, high = (np.array(region.centre_xy) + side * region.radius_m for side in (-1.0, 1.0))
-    road, xy = site.scenario.road_map, [frame.vehicles.centre_m[frame.counted, :2] for frame in site.search]
+    road, xy = site.scenario.road_map, [frame.centre_m[frame.counted, :2] for frame in site.search]
     (right, left), t = road.edges_t, road.locate(np.concatenate(xy)).t_m
     if right - _ASIDE_M <= t.min(initial=np.inf) and t.max(initial=-np.inf) <= left + _ASIDE_M:
         s = road.stations(road.stretch(region.centre_xy, region.radius_m))
@@ -105,7 +103,7 @@ def watched(site: Site) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def within(boxes: DetectedBoxes, low: np.ndarray, high: np.ndarray) -> DetectedBoxes:
+def within(boxes: Boxes, low: np.ndarray, high: np.ndarray) -> Boxes:
     """The boxes whose middles lie in the rectangle between two corners, (2,) each [m]."""
     xy = boxes.centre_m[:, :2]
     return boxes.select(((xy >= low) & (xy <= high)).all(axis=1))
@@ -117,7 +115,7 @@ class JudgedDetector:
 
     Attributes
     ----------
-    boxes : sequence of DetectedBoxes, f
+    boxes : sequence of Boxes, f
         Its detections of each frame.
     matches : sequence of Matches
         By each of `CRITERIA`.
@@ -132,7 +130,7 @@ class JudgedDetector:
         What does not fit of a file of detections and was accepted, for a result file.
     """
 
-    boxes: Sequence[DetectedBoxes]
+    boxes: Sequence[Boxes]
     matches: Sequence[Matches]
     of_kinds: Sequence[Sequence[Matches]]
     with_return: float | None
@@ -140,7 +138,7 @@ class JudgedDetector:
     warnings: Sequence[Mapping[str, str]] = ()
 
 
-def judging_frames(site: Site) -> tuple[Sequence[CountedFrame], np.ndarray, np.ndarray]:
+def judging_frames(site: Site) -> tuple[Sequence[Boxes], np.ndarray, np.ndarray]:
     """The frames that judge, their blocks of time and their recordings: the held-out ones, or all where none is."""
     plan = site.plan
     if len(site.holdout):
@@ -174,7 +172,7 @@ def sensor_at(site: Site, mounting: Mounting) -> MountedSensor:
     return MountedSensor(site.scenario, mounting, seen.lattice, seen.caster, seen.scenery, seen.bodies)
 
 
-Clouds = Callable[[Vehicles], PointCloud]
+Clouds = Callable[[Boxes], PointCloud]
 
 
 def clouds_at(site: Site, mounting: Mounting) -> Clouds:
@@ -182,7 +180,7 @@ def clouds_at(site: Site, mounting: Mounting) -> Clouds:
     return partial(_planned_scan, sensor_at(site, hung_off(site, mounting)), mounting.pose)
 
 
-def _planned_scan(sensor: MountedSensor, planned: Pose, vehicles: Vehicles) -> PointCloud:
+def _planned_scan(sensor: MountedSensor, planned: Pose, vehicles: Boxes) -> PointCloud:
     return believed(sensor.scan(vehicles), sensor.mounting.pose, planned)
 
 
@@ -203,11 +201,11 @@ def range_image(detector: ClassicalDetector, clouds: Callable[[Any], PointCloud]
     return detector.range_image(clouds(item))
 
 
-def _look(detectors: Sequence[Detector], clouds: Sequence[Clouds], frame: CountedFrame):
+def _look(detectors: Sequence[Detector], clouds: Sequence[Clouds], frame: Boxes):
     """A frame's detections by each LiDAR's detector, with what the notes need; those of the fused cloud, where the
     detectors can; and which of the n counted vehicles have a return of each of l LiDARs, (l, n).
     """
-    seen, ids = [of(frame.vehicles) for of in clouds], frame.vehicles.vehicle_id[frame.counted]
+    seen, ids = [of(frame) for of in clouds], frame.vehicle_id[frame.counted]
     returned = np.array([np.isin(ids, cloud.vehicle_id) for cloud in seen])
     each = list(zip(detectors, seen, strict=True))
     if len(clouds) == 1 or not all(isinstance(detector, ClassicalDetector) for detector in detectors):
@@ -238,7 +236,7 @@ def judge_detectors(
         "given", by `late_fusion`; before it, of several LiDARs, each one alone, "NAME alone", and the `early_fusion` of
         classical detectors. Distances are from the nearest LiDAR of the layout in all, so that bands hold the same.
     """
-    frames, searched = judging_frames(site)[0], [frame.vehicles for frame in site.search]
+    frames, searched = judging_frames(site)[0], site.search
     clouds = [clouds_at(one, mounting) for one, mounting in zip(site.each, layout, strict=True)]
     for detector, of in zip(detectors, clouds, strict=True):
         if detector.learns:
@@ -263,8 +261,8 @@ def judge_detectors(
 
 
 def judged_boxes(
-    boxes: Sequence[DetectedBoxes],
-    frames: Sequence[CountedFrame],
+    boxes: Sequence[Boxes],
+    frames: Sequence[Boxes],
     region: Region,
     lidar_xy: tuple[float, float] | np.ndarray,
     with_return: float | None,
@@ -294,14 +292,14 @@ def judged_from_file(site: Site, layout: Layout, path: str) -> JudgedDetector:
         some. If they do not fit the traffic, unless that is accepted.
     """
     frames = judging_frames(site)[0]
-    boxes = boxes_from_file(path, layout[0].pose, [frame.vehicles.frame for frame in frames], "judging frames")
-    misfit = detections_misfit(boxes, [frame.vehicles for frame in frames])
+    boxes = boxes_from_file(path, layout[0].pose, [frame.frame for frame in frames], "judging frames")
+    misfit = detections_misfit(boxes, frames)
     warnings = accepted(misfit, path, site.scenario.traffic.accept)
     xy = np.array([[one.xy for one in layout]])
     return judged_boxes(boxes, frames, region_of_alarms(site.region), xy, None, warnings=warnings)
 
 
-def boxes_from_file(path: str | Path, poses: Poses, numbers: Sequence[int], what: str) -> list[DetectedBoxes]:
+def boxes_from_file(path: str | Path, poses: Poses, numbers: Sequence[int], what: str) -> list[Boxes]:
     """The boxes of some frames from a file, as for `judged_from_file`; `what` these numbers are of."""
     of_frame = read_detected(path, poses)
     missing = [number for number in numbers if number not in of_frame]
@@ -323,8 +321,8 @@ def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]
     farthest = max(map(farthest_m, judged.values()), default=0.0)
     for mounting, one in judged.items():
         mountings[mounting] = measured_groups(one, farthest)
-        if frames and frames[0].ways is not None:
-            approach = np.concatenate([frame.ways[WAY_COLUMNS[0]][frame.counted] for frame in frames])
+        if frames and frames[0].approach is not None:
+            approach = np.concatenate([frame.approach[frame.counted] for frame in frames])
             found = by_approach(one.matches[0], approach, block, site.scenario.search.seed, recording)
             mountings[mounting]["by_approach"] = found
         over = partial(paired_intervals, one.matches, block=block, seed=site.scenario.search.seed, recording=recording)
@@ -336,7 +334,7 @@ def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]
     return {
         "detector": name,
         "frames": len(frames),
-        "frame_ids": [frame.vehicles.frame for frame in frames],
+        "frame_ids": [frame.frame for frame in frames],
         "held_out": bool(len(site.holdout)),
         "blocks": len(np.unique(block)),
         "mountings": mountings,

@@ -20,7 +20,7 @@ from ..errors import InputError, printable
 from ..files import read_npz, reading
 from ..sensors.pose import Pose
 from ..toml_table import Setting, TomlTable
-from ..traffic.boxes import DetectedBoxes, no_boxes, suppressed
+from ..traffic.boxes import Boxes, detected_boxes, no_boxes, suppressed
 from .ground import Ground, fit_ground
 from .pillar_network import COARSEST, HEAT, LEVEL, OFFSET, SIZE, STRIDE, TURN, Weights, forward, shapes
 
@@ -130,7 +130,7 @@ def _cell_features(area: Area, on_ground: np.ndarray, raised: np.ndarray, bare_g
 # --- Boxes ------------------------------------------------------------------------------------------------------------
 
 
-def boxes_of(output: np.ndarray, area: Area) -> DetectedBoxes:
+def boxes_of(output: np.ndarray, area: Area) -> Boxes:
     """Boxes of one frame, the surest of each place: x and y from the LiDAR, z above the ground [m].
 
     Parameters
@@ -151,7 +151,7 @@ def boxes_of(output: np.ndarray, area: Area) -> DetectedBoxes:
     one, side = output[x, y].astype(float), STRIDE * PILLAR_M
     centre = np.array(area.first_m) + side * (np.column_stack([x, y]) + 0.5 + one[:, OFFSET])
     sine, cosine = one[:, TURN].T
-    found = DetectedBoxes(
+    found = detected_boxes(
         np.column_stack([centre, one[:, LEVEL]]),
         np.exp(np.clip(one[:, SIZE], *_LOG_SIZES)),
         0.5 * np.arctan2(sine, cosine),
@@ -209,7 +209,7 @@ class PillarsDetector:
             off = f"{100.0 * astray:.0f} % of the vehicles stand more than {math.degrees(_ALONG_RAD):.0f} degrees off x"
             self._notes.append(f"{self.name}: {off}; its training had none of these, and it finds them less well")
 
-    def detect(self, cloud: PointCloud) -> tuple[DetectedBoxes, tuple[float, float]]:
+    def detect(self, cloud: PointCloud) -> tuple[Boxes, tuple[float, float]]:
         """The vehicles of one frame; and for `notes` how uneven its ground is [m], and its `density`.
 
         Raises

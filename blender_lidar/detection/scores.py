@@ -12,11 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..scene.observation import CountedFrame
 from ..scene.region import Region
 from ..statistics import of_blocks, statistic_interval_90
-from ..traffic.boxes import HIT_M, DetectedBoxes, bev_iou, kind_of
-from ..traffic.vehicles import Vehicles
+from ..traffic.boxes import HIT_M, Boxes, bev_iou
 
 CONFIDENCES = (0.1, 0.3)  # at which recall and precision are given, as the paper's Table III has them
 MISSED = -1.0  # in place of the confidence of a vehicle's detection
@@ -29,7 +27,7 @@ class Criterion(NamedTuple):
     most_m: float | None = None
     least_iou: float | None = None
 
-    def merit(self, boxes: DetectedBoxes, vehicles) -> np.ndarray:
+    def merit(self, boxes: Boxes, vehicles) -> np.ndarray:
         """How well each detection meets each vehicle, (d, v), the higher the better; -inf where it does not."""
         if self.most_m is None:
             iou = bev_iou(boxes, vehicles)
@@ -86,8 +84,8 @@ class Matches:
 
 
 def match(
-    detected: Sequence[DetectedBoxes],
-    frames: Sequence[CountedFrame],
+    detected: Sequence[Boxes],
+    frames: Sequence[Boxes],
     region: Region,
     lidar_xy: tuple[float, float] | np.ndarray,
     criterion: Criterion,
@@ -97,8 +95,8 @@ def match(
 
     Parameters
     ----------
-    detected : sequence of DetectedBoxes, f
-    frames : sequence of CountedFrame, f
+    detected : sequence of Boxes, f
+    frames : sequence of Boxes, f
     region : Region
         Where a detection that meets nothing is a false alarm.
     lidar_xy : (float, float), or ndarray, (f, 2) or (1, l, 2)
@@ -110,12 +108,10 @@ def match(
     parts, xy = [], np.asarray(lidar_xy, dtype=float)
     lidars = np.repeat(xy, len(frames), axis=0) if xy.ndim == 3 else np.broadcast_to(xy, (len(frames), 2))[:, None]
     for boxes, frame, lidar in zip(detected, frames, lidars, strict=True):
-        vehicles, counted = frame.vehicles, frame.counted
         if kind is not None:
             boxes = boxes.select(boxes.kind == kind)
-            there = ~counted | (kind_of(vehicles.class_index) == kind)
-            vehicles, counted = vehicles.select(there), counted[there]
-        parts.append(_matched(boxes, vehicles, counted, region, lidar, criterion))
+            frame = frame.select(~frame.counted | (frame.kind == kind))
+        parts.append(_matched(boxes, frame, region, lidar, criterion))
     of_frame = np.arange(len(frames))
     detections, found = (
         np.concatenate([np.zeros((0, width)), *(part[side] for part in parts)]) for side, width in enumerate((3, 2))
@@ -132,27 +128,25 @@ def match(
     )
 
 
-def _matched(boxes: DetectedBoxes, vehicles: Vehicles, counted: np.ndarray, region: Region, lidar_xy, criterion):
+def _matched(boxes: Boxes, vehicles: Boxes, region: Region, lidar_xy, criterion):
     """Of one frame: columns of `Matches` of its detections that count, (d, 3), and of its vehicles that do, (v, 2)."""
     away, distance = (
         np.hypot(*(one.centre_m[:, :2] - lidar_xy[:, None]).transpose(2, 0, 1)).min(axis=0) for one in (boxes, vehicles)
     )
-    met, ignored = meetings(boxes, vehicles, counted, region, criterion)
+    met, ignored = meetings(boxes, vehicles, region, criterion)
     hit, found = met >= 0, np.full(len(vehicles), MISSED)
     found[met[hit]], away[hit] = boxes.confidence[hit], distance[met[hit]]
     detections = np.column_stack([boxes.confidence, hit, away])[~ignored]
-    return detections, np.column_stack([found, distance])[counted]
+    return detections, np.column_stack([found, distance])[vehicles.counted]
 
 
-def meetings(
-    boxes: DetectedBoxes, vehicles: Vehicles, counted: np.ndarray, region: Region, criterion: Criterion
-) -> tuple[np.ndarray, np.ndarray]:
+def meetings(boxes: Boxes, vehicles: Boxes, region: Region, criterion: Criterion) -> tuple[np.ndarray, np.ndarray]:
     """Of a frame's detections the vehicle that each is a hit on, (d,), -1 for none, and which do not count, (d,) bool.
 
-    Those that count and are no hit are false alarms. `counted` is as in `CountedFrame`, the others as for `match`.
+    Those that count and are no hit are false alarms. The arguments are as for `match`.
     """
     merit = criterion.merit(boxes, vehicles)
-    free, met = counted.copy(), np.full(len(boxes), -1)
+    free, met = vehicles.counted.copy(), np.full(len(boxes), -1)
     ignored = ~region.holds(boxes)
     for row in np.argsort(-boxes.confidence, kind="stable"):
         left = np.where(free, merit[row], -np.inf)
@@ -160,7 +154,7 @@ def meetings(
             met[row] = left.argmax()
             free[met[row]] = False
         else:
-            ignored[row] |= (merit[row][~counted] > -np.inf).any()
+            ignored[row] |= (merit[row][~vehicles.counted] > -np.inf).any()
     return met, ignored & (met < 0)
 
 

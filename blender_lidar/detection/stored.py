@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -21,7 +21,6 @@ from ..csv_tables import Column
 from ..errors import InputError
 from ..road.straight import StraightRoad, road_map
 from ..scene.mounting import COORDINATES, MOUNTED, mounting_from
-from ..scene.observation import CountedFrame
 from ..scene.provenance import versions
 from ..scene.region import Region, region_of, region_within
 from ..scene.settings import RegionSettings, SensorSettings
@@ -31,8 +30,8 @@ from ..sensors.imperfections import Imperfections
 from ..sensors.model import load_model, model_names
 from ..sensors.pose import Pose
 from ..toml_table import Setting, TomlTable
-from ..traffic.boxes import DetectedBoxes
-from ..traffic.vehicles import CLASSES, Recording, Vehicles
+from ..traffic.boxes import Boxes
+from ..traffic.vehicles import CLASSES, Recording
 from .classical import ClassicalDetector
 from .dataset import VAL
 from .dataset_files import DATASET, SCANS, UNFINISHED, WHOLE, file_name, read_boxes, read_columns, read_json
@@ -197,7 +196,7 @@ class FoundInClouds(NamedTuple):
     It looked within the rectangle from `low` to `high`, x and y [m], between the pairs of y of `spans`.
     """
 
-    boxes: Mapping[int, DetectedBoxes]
+    boxes: Mapping[int, Boxes]
     pose: Pose
     sensor: str
     low: np.ndarray
@@ -214,7 +213,7 @@ class FoundInClouds(NamedTuple):
 
 def _look(
     detector: Detector, clouds: StoredClouds | RecordedClouds, images: np.ndarray | None, item: tuple[int, Path]
-) -> tuple[int, DetectedBoxes, Any]:
+) -> tuple[int, Boxes, Any]:
     """The frame of a cloud, its detections, and what the notes need; learnt from the range `images` of the others."""
     row, path = item
     if images is not None:
@@ -304,15 +303,13 @@ def judge_in_clouds(
     boxes, vehicles = (
         [found.boxes[number] for number in numbers],
         [
-            labels.vehicles(number)
-            if number in labels.frames
-            else labels.vehicles(int(labels.frames[0])).select(slice(0))
+            labels.at(number) if number in labels.frames else labels.at(int(labels.frames[0])).select(slice(0))
             for number in numbers
         ],
     )
     warnings = accepted(detections_misfit(boxes, vehicles), where, accept)
     region = found.region
-    frames, xy = [CountedFrame(one, region.holds(one)) for one in vehicles], tuple(found.pose.position[:2])
+    frames, xy = [replace(one, counted=region.holds(one)) for one in vehicles], tuple(found.pose.position[:2])
     judged, notes = judged_boxes(boxes, frames, region, xy, None), [*found.notes, _UNLABELLED, _BY_FRAME]
     if left := len(found.boxes) - len(numbers):
         notes.append(f"{left} of the {len(found.boxes)} clouds have no boxes and are not judged")
@@ -391,10 +388,10 @@ class StoredDataset:
         """Whether the judging scans are those of the split val."""
         return bool((self.scans["split"] == VAL).any())
 
-    def boxes(self, number: int) -> tuple[CountedFrame, np.ndarray]:
+    def boxes(self, number: int) -> tuple[Boxes, np.ndarray]:
         """The vehicles of a scan, and the returns from each, (v,)."""
         table = read_boxes(self.folder, number)
-        vehicles = Vehicles(
+        vehicles = Boxes(
             frame=int(self.scans["frame"][number]),
             time_s=0.0,
             vehicle_id=table["vehicle_id"],
@@ -404,7 +401,7 @@ class StoredDataset:
             heading_rad=np.radians(table["heading_deg"]),
             lane=np.zeros(len(table["class"]), dtype=np.int16),
         )
-        return CountedFrame(vehicles, table["counted"]), table["points"]
+        return replace(vehicles, counted=table["counted"]), table["points"]
 
 
 def is_dataset(folder: Path) -> bool:
@@ -464,7 +461,7 @@ def judge_on_dataset(
     else:
         what = f"scans{' of split val' * stored.validates} of the data set"
         boxes = boxes_from_file(name, stored.poses, numbers, what)
-        warnings = accepted(detections_misfit(boxes, [frame.vehicles for frame in frames]), name, accept)
+        warnings = accepted(detections_misfit(boxes, frames), name, accept)
     lidars = np.array([stored.poses[number].position[:2] for number in numbers])
 
     if not stored.validates:
@@ -492,7 +489,7 @@ def _look_at_scan(stored: StoredDataset, detectors: Mapping[int, PillarsDetector
 
 def _detected(
     stored: StoredDataset, name: str, workers: int, advance: Callable[[int], object]
-) -> tuple[list[DetectedBoxes], list[str]]:
+) -> tuple[list[Boxes], list[str]]:
     """What PointPillars finds in the judging scans, each from its mounting, and its notes."""
     numbers, mounting = stored.judging.tolist(), stored.scans["mounting"].astype(int).tolist()
     sensor, weights = stored.about["sensor"], weights_of(name)

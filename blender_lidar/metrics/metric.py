@@ -53,8 +53,8 @@ class VehicleReturns:
         The returns, each in the frame of its own vehicle [m]; None where no metric asked for them.
     vehicle : ndarray of int64, (k,), or None
         Row of the vehicle that each return belongs to.
-    frame : CountedFrame or None
-        The frame with all of its boxes, as `scene.observation` has it; None for a cloud, which has no scene.
+    frame : Boxes or None
+        The frame with all of its boxes, as `traffic.boxes` has it; None for a cloud, which has no scene.
     layouts : sequence of s tuples of Pose, or None
         From where the frame was looked at: rows are its counted vehicles, layout after layout. Of a layout that leaves
         a LiDAR out its pose is None. None for a cloud.

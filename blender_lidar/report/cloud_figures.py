@@ -16,11 +16,9 @@ from ..metrics.vgop import VIEW_NAMES, entropy, occupancy_views
 from ..run.folder import RunFolder
 from ..run.optimise import sensors_text
 from ..scene.mounting import Layout
-from ..scene.observation import CountedFrame
 from ..scene.site import Site
 from ..scoring.frame_scorer import FrameScorer
-from ..traffic.boxes import DetectedBoxes, corners_of
-from ..traffic.vehicles import Vehicles
+from ..traffic.boxes import Boxes, corners_of
 from .figure import (
     FAINT,
     HEIGHT_COLOURS,
@@ -82,10 +80,10 @@ class Sight:
 def draw_clouds(path: str | Path, site: Site, run: RunFolder) -> None:
     """Draw the searched frame with the most vehicles in view, as both mountings of a run see it."""
     frame = max(site.search, key=lambda candidate: int(candidate.counted.sum()))
-    vehicles, sights = frame.vehicles.select(frame.counted), []
+    vehicles, sights = frame.select(frame.counted), []
     for table, (name, text, mounts) in zip((run.baseline, run.optimised), sides(run.result), strict=True):
         each = [(one, one.scenario.mounting(at)) for one, at in zip(site.each, mounts.values(), strict=True)]
-        cloud = joined_clouds([sensor_at(*one).scan(frame.vehicles) for one in each])
+        cloud = joined_clouds([sensor_at(*one).scan(frame) for one in each])
         of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")
         stands = [Stand(name, mounting.xy) for name, (_, mounting) in zip(mounts, each, strict=True)]
         sights.append(Sight(name, text, stands, cloud.xyz, cloud.vehicle_id, table["detectable"][of_frame]))
@@ -95,7 +93,7 @@ def draw_clouds(path: str | Path, site: Site, run: RunFolder) -> None:
 
 def plot_clouds(
     path: str | Path,
-    vehicles: Vehicles,
+    vehicles: Boxes,
     sights: Sequence[Sight],
     title: str = "",
     subtitle: str = "",
@@ -183,7 +181,7 @@ class Found:
     layout : Layout
     cloud : PointCloud
         What the detector was given.
-    boxes : DetectedBoxes
+    boxes : Boxes
         Its d detections.
     vehicle : ndarray of int, (d,)
         The vehicle that each is a hit on, -1 for none.
@@ -194,7 +192,7 @@ class Found:
     name: str
     layout: Layout
     cloud: PointCloud
-    boxes: DetectedBoxes
+    boxes: Boxes
     vehicle: np.ndarray
     ignored: np.ndarray
 
@@ -213,11 +211,11 @@ def draw_detections(
     for name in filter(judged.get, ("baseline", "given")):  # what parts of a layout find is in the table
         boxes = judged[name].boxes[number].select(judged[name].boxes[number].confidence >= _SURE)
         each = zip(site.each, layouts[name], strict=True)
-        cloud = joined_clouds([clouds_at(*one)(frame.vehicles) for one in each])
-        met = meetings(boxes, frame.vehicles, frame.counted, region_of_alarms(site.region), CRITERIA[0])
+        cloud = joined_clouds([clouds_at(*one)(frame) for one in each])
+        met = meetings(boxes, frame, region_of_alarms(site.region), CRITERIA[0])
         called = "Late fusion" if name == "given" and site.scenario.further_lidars else name.capitalize()
         sure.append(Found(called, layouts[name], cloud, boxes, *met))
-    title = f"{sensors_text(site)}: what the detector {Path(detector).stem} finds in frame {frame.vehicles.frame}"
+    title = f"{sensors_text(site)}: what the detector {Path(detector).stem} finds in frame {frame.frame}"
     of_frames = f"{len(frames)} {'held-out' if len(site.holdout) else 'searched'} frames"
     rule = f"confidence {_SURE:g} or more, hits within {CRITERIA[0].most_m:g} m"
     subtitle = f"{frame.counted.sum()} vehicles, the median of {of_frames}; {rule}"
@@ -227,7 +225,7 @@ def draw_detections(
 
 def plot_detections(
     path: str | Path,
-    frame: CountedFrame,
+    frame: Boxes,
     found: Sequence[Found],
     title: str = "",
     subtitle: str = "",
@@ -242,7 +240,7 @@ def plot_detections(
     """
     poles = np.array([mounting.xy for one in found for mounting in one.layout])
     counted = [
-        corners_of(frame.vehicles.select(frame.counted)),
+        corners_of(frame.select(frame.counted)),
         *(corners_of(one.boxes)[~one.ignored] for one in found),
     ]
     window = window_of([poles, *counted], _MARGIN_M)
@@ -261,12 +259,12 @@ def plot_detections(
         legend_below(figure, entries, columns=4)
 
 
-def _draw_found(axes: Axes, frame: CountedFrame, one: Found) -> list[Artist]:
+def _draw_found(axes: Axes, frame: Boxes, one: Found) -> list[Artist]:
     """Footprints below the points, detections above them, each with a tick to its front; returns the legend's."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.patches import Patch
 
-    hit, footprint, box = one.vehicle >= 0, corners_of(frame.vehicles), corners_of(one.boxes)
+    hit, footprint, box = one.vehicle >= 0, corners_of(frame), corners_of(one.boxes)
     found = np.isin(np.arange(len(frame.counted)), one.vehicle)
     vehicles = {
         "vehicle, found": (found, _FOUND),
@@ -312,10 +310,10 @@ def draw_occupancy(path: str | Path, site: Site, run: RunFolder) -> None:
         rows = np.flatnonzero(searched)
     row = rows[np.argsort((after - before)[rows], kind="stable")[int(0.75 * (len(rows) - 1))]]
     number, vehicle_id = int(table["frame"][row]), int(table["vehicle_id"][row])
-    frame = next(candidate for candidate in site.search if candidate.vehicles.frame == number)
-    counted = frame.vehicles.select(frame.counted)
+    frame = next(candidate for candidate in site.search if candidate.frame == number)
+    counted = frame.select(frame.counted)
     index = int(np.flatnonzero(counted.vehicle_id == vehicle_id)[0])
-    scorer = FrameScorer(frame.vehicles, frame.counted, site.observation)
+    scorer = FrameScorer(frame, site.observation)
     size_m, cell_m = counted.size_m[index], site.observation.cell_m
     grids = []
     for _, _, mounts in sides(run.result):

@@ -28,10 +28,10 @@ from ..files import (
     write_columns,
     write_text,
 )
-from ..scene.observation import WAY_COLUMNS
 from ..scene.provenance import check_identity
 from ..scene.scenario import Scenario
 from ..toml_table import to_toml
+from ..traffic.boxes import WAY_COLUMNS
 from .vehicle_table import WEIGHT, columns_for, points_columns
 from .verdict import ScoreMap
 

@@ -15,7 +15,7 @@ from ..metrics.vgop import entropy
 from ..optimise import vehicle_score
 from ..road.road_map import RoadMap
 from ..scene.mounting import Layout
-from ..scene.observation import WAY_COLUMNS, first_zone
+from ..scene.observation import first_zone
 from ..scene.settings import ObjectiveSettings
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
@@ -30,8 +30,8 @@ from ..statistics import (
     share_interval_90,
     statistic_interval_90,
 )
+from ..traffic.boxes import WAY_COLUMNS, Boxes
 from ..traffic.frames import FramePlan
-from ..traffic.vehicles import Vehicles
 
 VEHICLE_COLUMNS = (
     "frame",
@@ -106,12 +106,10 @@ def vehicle_tables(layouts: Sequence[Layout], **splits: Evaluator) -> list[dict[
     tables = []
     for row, layout in enumerate(layouts):
         parts = [
-            _frame_table(frame.vehicles.select(frame.counted), layout, scored, row, split, lidars)
-            | {WEIGHT: frame.counted_weight}
-            | {name: values[frame.counted] for name, values in (frame.ways or {}).items()}
+            _frame_table(frame.select(frame.counted), layout, scored, row, split, lidars)
             for frame, scored, split in found
         ]
-        names = columns_for(metric, weighted, all(frame.ways is not None for frame, *_ in found), lidars)
+        names = columns_for(metric, weighted, all(frame.approach is not None for frame, *_ in found), lidars)
         tables.append({name: np.concatenate([part[name] for part in parts]) for name in names})
     return tables
 
@@ -122,18 +120,13 @@ def vehicle_table(layout: Layout, **splits: Evaluator) -> dict[str, np.ndarray]:
 
 
 def _frame_table(
-    vehicles: Vehicles, layout: Layout, scored: Scored, row: int, split: str, names: Sequence[str]
+    vehicles: Boxes, layout: Layout, scored: Scored, row: int, split: str, names: Sequence[str]
 ) -> dict[str, np.ndarray]:
     shares = scored.seen.occupancy[row]
     hung = [mounting.pose.position[:2] for mounting in layout if mounting is not None]
     away = [np.hypot(*(vehicles.centre_m[:, :2] - xy).T) for xy in hung] or [np.full(len(vehicles), np.inf)]
     return {
-        "frame": np.full(len(vehicles), vehicles.frame),
-        "vehicle_id": vehicles.vehicle_id,
-        "class": vehicles.class_name,
-        **dict(zip(("x_m", "y_m", "z_m"), vehicles.centre_m.T, strict=True)),
-        **dict(zip(("length_m", "width_m", "height_m"), vehicles.size_m.T, strict=True)),
-        "heading_deg": np.degrees(vehicles.heading_rad),
+        **vehicles.table(),
         "distance_m": np.min(away, axis=0),
         "points": scored.seen.points[row],
         **dict(zip(("p_top", "p_side", "p_front"), shares.T, strict=True)),
@@ -142,6 +135,8 @@ def _frame_table(
         "lane": vehicles.lane,
         "split": np.full(len(vehicles), split),
         METRIC_VALUE: scored.values[row],
+        WEIGHT: vehicles.counted_weight,
+        **{name: getattr(vehicles, name) for name in WAY_COLUMNS},
         **dict(zip(points_columns(names), scored.seen.by_lidar[row], strict=True)),
     }
 

@@ -12,11 +12,11 @@ import numpy as np
 from ..casting import BVH, EXACT
 from ..scene.deployment import SearchSpace
 from ..scene.mounting import Layout, Mounting, changed_mounting
-from ..scene.observation import CountedFrame
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.fidelity import evenly_spread
 from ..statistics import drawn_share_interval_90
+from ..traffic.boxes import WAY_COLUMNS, Boxes
 from ..traffic.fleet import (
     BUS,
     CAR,
@@ -29,7 +29,7 @@ from ..traffic.fleet import (
     turned_into,
     with_variety,
 )
-from ..traffic.vehicles import CLASSES, DIMENSIONS, Vehicles
+from ..traffic.vehicles import CLASSES, DIMENSIONS
 from .as_hung import as_planned, errors_of_frames, hung_scores, judge_as_hung, searching
 from .vehicle_table import APPROACH, BoxShares, approaches, lanes, vehicle_tables
 
@@ -51,7 +51,7 @@ def jammed(site: Site, seed: int = 0) -> Site:
 
 
 def with_traffic(
-    site: Site, change: Callable[[Vehicles], Vehicles], gaps: Gaps | None = None, filled_to_m: float = 0.0
+    site: Site, change: Callable[[Boxes], Boxes], gaps: Gaps | None = None, filled_to_m: float = 0.0
 ) -> Site:
     """The site with every frame's traffic changed, as the recording has it before anything is cut off.
 
@@ -64,8 +64,8 @@ def with_traffic(
     anchor = float(road.locate(np.array([site.scenario.nominal_xy])).s_m[0])
     place = {"anchor_m": anchor, "road": road, "copies_from": step}
 
-    def changed(number: int, frame: CountedFrame) -> CountedFrame:
-        recorded = site.recording.vehicles(number)
+    def changed(number: int, frame: Boxes) -> Boxes:
+        recorded = site.recording.at(number)
         vehicles = change(recorded)
         if gaps is not None:
             vehicles = queued(vehicles, recorded.size_m[:, 0], gaps, filled_to_m=filled_to_m, **place)
@@ -73,22 +73,18 @@ def with_traffic(
 
     searched = tuple(map(changed, site.plan.search, site.search))
     held_out = tuple(map(changed, site.plan.holdout, site.holdout))
-    chosen = [frame.vehicles.vehicle_id[frame.counted] % step for frame in searched]
+    chosen = [frame.vehicle_id[frame.counted] % step for frame in searched]
     chosen = np.concatenate([site.plan.searched_ids, *chosen])
-    judged = (
-        replace(frame, counted=frame.counted & ~np.isin(frame.vehicles.vehicle_id % step, chosen)) for frame in held_out
-    )
+    judged = (replace(frame, counted=frame.counted & ~np.isin(frame.vehicle_id % step, chosen)) for frame in held_out)
     return replace(site, search=searched, holdout=tuple(judged))
 
 
-def _with_ways_of(recorded: CountedFrame, frame: CountedFrame) -> CountedFrame:
+def _with_ways_of(recorded: Boxes, frame: Boxes) -> Boxes:
     """A frame of changed traffic with the ways that its vehicles have in the recorded one."""
-    if recorded.ways is None:
+    if recorded.approach is None:
         return frame
-    known = recorded.vehicles.vehicle_id
-    row = np.searchsorted(known, frame.vehicles.vehicle_id)
-    row = np.where(np.append(known, -1)[row] == frame.vehicles.vehicle_id, row, len(known))
-    return replace(frame, ways={name: np.append(values, "")[row] for name, values in recorded.ways.items()})
+    row = recorded.rows_of(frame.vehicle_id)  # -1, the last: nothing
+    return replace(frame, **{name: np.append(getattr(recorded, name), "")[row] for name in WAY_COLUMNS})
 
 
 def _copies_from(site: Site) -> int:
@@ -105,7 +101,7 @@ def with_lorries(site: Site, near_to: Sequence[float] | None, near: int | None, 
     road = site.scenario.road_map
     chosen = None if near is None else _by_distance(site, near_to)[:near]
 
-    def here(vehicles: Vehicles) -> np.ndarray:
+    def here(vehicles: Boxes) -> np.ndarray:
         if chosen is None:
             return np.ones(len(vehicles), dtype=bool)
         return np.isin(road.locate(vehicles.centre_m, vehicles.heading_rad).lane, chosen)
@@ -121,14 +117,11 @@ def with_lorries_in_place(site: Site, approach: str | None, share: float, seed: 
     Which cars and vans turn into lorries is drawn as for `with_lorries`; they are those within reach.
     """
     surface, frames = site.scenario.road_map.surface, (*site.search, *site.holdout)
-    near = [
-        frame.vehicles.vehicle_id[slice(None) if approach is None else frame.ways[APPROACH] == approach]
-        for frame in frames
-    ]
+    near = [frame.vehicle_id[slice(None) if approach is None else frame.approach == approach] for frame in frames]
     there = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *near]))
     ids_of = _turning(site, lambda vehicles: np.isin(vehicles.vehicle_id, there), share, seed)
 
-    def turned(vehicles: Vehicles) -> Vehicles:
+    def turned(vehicles: Boxes) -> Boxes:
         lorries = lorries_in_place(vehicles, ids_of(vehicles))
         risen = surface.height(lorries.centre_m) - surface.height(vehicles.centre_m)
         return replace(lorries, centre_m=lorries.centre_m + np.outer(risen, [0.0, 0.0, 1.0]))
@@ -136,9 +129,7 @@ def with_lorries_in_place(site: Site, approach: str | None, share: float, seed: 
     return with_traffic(site, turned)
 
 
-def _turning(
-    site: Site, here: Callable[[Vehicles], np.ndarray], share: float, seed: int
-) -> Callable[[Vehicles], np.ndarray]:
+def _turning(site: Site, here: Callable[[Boxes], np.ndarray], share: float, seed: int) -> Callable[[Boxes], np.ndarray]:
     """What gives the numbers of a frame's cars and vans that turn into lorries where `here` is true of a vehicle.
 
     So many that lorries and buses, those that were recorded among them, have that share there in all frames.
@@ -147,12 +138,12 @@ def _turning(
     ids = np.unique(recording.vehicle_id)
     drawn = np.random.default_rng(seed).random(len(ids))
 
-    frames = map(recording.vehicles, (*site.plan.search, *site.plan.holdout))
+    frames = map(recording.at, (*site.plan.search, *site.plan.holdout))
     kinds = np.concatenate([vehicles.class_index[here(vehicles)] for vehicles in frames])
     small, large = (int(np.isin(kinds, classes).sum()) for classes in ((CAR, VAN), (TRUCK, BUS)))
     missing = (share * (small + large) - large) / max(small, 1)
 
-    def turning(vehicles: Vehicles) -> np.ndarray:
+    def turning(vehicles: Boxes) -> np.ndarray:
         turns = (
             np.isin(vehicles.class_index, (CAR, VAN))
             & here(vehicles)
@@ -180,7 +171,7 @@ def rush_hour(site: Site, seed: int = 0) -> Site:
 
 def with_other_heights(site: Site, seed: int) -> Site:
     """The site with the heights that `[world] variety = 1` draws where all vehicles of a kind have one."""
-    near = np.concatenate([frame.vehicles.vehicle_id for frame in (*site.search, *site.holdout)])
+    near = np.concatenate([frame.vehicle_id for frame in (*site.search, *site.holdout)])
     varied = with_variety(site.recording, 1.0, seed, ids=near)
     return with_traffic(replace(site, recording=varied), lambda vehicles: vehicles)
 
@@ -241,8 +232,7 @@ def _lorries_by_lane(site: Site, near_to: Sequence[float]) -> list[Mix]:
     road, near = site.scenario.road_map, {1: "the nearest lane", 2: "the two nearest lanes"}
     frames = (*site.search, *site.holdout)
     centre, number = (
-        np.concatenate([getattr(frame.vehicles, what)[frame.counted] for frame in frames])
-        for what in ("centre_m", "lane")
+        np.concatenate([getattr(frame, what)[frame.counted] for frame in frames]) for what in ("centre_m", "lane")
     )
     known = len(centre) and road.on(centre).mean() >= _ON_LANES
     own = number[road.locate(centre).lane == _by_distance(site, near_to)[0]]
@@ -258,8 +248,8 @@ def _lorries_by_lane(site: Site, near_to: Sequence[float]) -> list[Mix]:
 
 def _lorries_by_approach(site: Site) -> list[Mix]:
     """Lorries alone from each approach that vehicles come from that count, and shares of them in all of the site."""
-    frames = [frame for frame in (*site.search, *site.holdout) if frame.ways is not None]
-    names = {name for frame in frames for name in frame.ways[APPROACH][frame.counted].tolist() if name}
+    frames = [frame for frame in (*site.search, *site.holdout) if frame.approach is not None]
+    names = {name for frame in frames for name in frame.approach[frame.counted].tolist() if name}
     found = [
         _lorries(f"approach {name}", 1.0, partial(with_lorries_in_place, approach=name), name) for name in sorted(names)
     ]
@@ -317,7 +307,7 @@ def _fleet(site: Site) -> dict[str, object]:
         ``recording``: whether the rest of the recording has no others either; ``size_m`` of each class, medians of
         boxes; ``assumed``, which of their dimensions, and ``by``, whose word that is.
     """
-    vehicles, report = [frame.vehicles for frame in (*site.search, *site.holdout)], site.recording.report
+    vehicles, report = (*site.search, *site.holdout), site.recording.report
     kind, size = np.concatenate([one.class_index for one in vehicles]), np.concatenate([one.size_m for one in vehicles])
     present = np.unique(kind).tolist()
     return {

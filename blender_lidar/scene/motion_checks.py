@@ -61,7 +61,7 @@ class Tracks:
         of_row = np.unique(recording.vehicle_id, return_inverse=True)[1].reshape(-1)
         kept = np.flatnonzero(of_row % -(-len(of_row) // usual.TRACK_ROWS) == 0)
         kept = kept[np.lexsort((recording.frame[kept], of_row[kept]))]
-        time_s = recording.frame_time_s[np.searchsorted(recording.frames, recording.frame[kept])]
+        time_s = recording.time_s[kept]
         self.vehicle = np.unique(of_row[kept], return_inverse=True)[1].reshape(-1)
         self.xy, self.heading_rad = recording.centre_m[kept, :2], recording.heading_rad[kept]
         self.time_s, self.frame = time_s - recording.frame_time_s[0], recording.frame[kept]
@@ -299,7 +299,7 @@ def coupled(seen: LookedAt, limit_m: float) -> Found:
     recording, touching = seen.recording, {}
     looked = recording.frames[:: -(-len(recording.frames) // _COUPLED_FRAMES)]
     for at, number in enumerate(looked.tolist()):
-        vehicles = recording.vehicles(number)
+        vehicles = recording.at(number)
         ahead = vehicles.centre_m[None, :, :2] - vehicles.centre_m[:, None, :2]
         cos, sin = np.cos(vehicles.heading_rad)[:, None], np.sin(vehicles.heading_rad)[:, None]
         along, aside = ahead[..., 0] * cos + ahead[..., 1] * sin, ahead[..., 1] * cos - ahead[..., 0] * sin

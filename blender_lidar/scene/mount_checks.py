@@ -15,7 +15,8 @@ import numpy as np
 
 from ..errors import InputError
 from ..road.road_map import RoadMap
-from ..traffic.vehicles import PEDESTRIAN, Vehicles, rectangles_overlap
+from ..traffic.boxes import Boxes
+from ..traffic.vehicles import PEDESTRIAN, rectangles_overlap
 from ..world.scenery import Scenery, barrier_extent
 from . import usual
 from .deployment import Place
@@ -51,7 +52,7 @@ class _Reach(NamedTuple):
 
 def check_mount_is_clear(
     scenario: Scenario,
-    frames: Iterable[Vehicles],
+    frames: Iterable[Boxes],
     mounts: Mapping[str, Mounting] | None = None,
     scenery: Scenery | None = None,
 ) -> None:
@@ -61,7 +62,7 @@ def check_mount_is_clear(
     ----------
     scenario : Scenario
         The road.
-    frames : iterable of Vehicles
+    frames : iterable of Boxes
         The traffic.
     mounts : mapping of str to Mounting, optional
         Mounts to check, by the option that gave them; the scene's searched places and baseline if left out.
@@ -128,7 +129,7 @@ def _check_solids(reach: _Reach, where: str, solids: Iterable[BoxSettings]) -> N
             raise InputError(f"{where}: the LiDAR hangs inside {solid.name!r} of [world]; move one of them")
 
 
-def _check_vehicles(reach: _Reach, frames: Sequence[Vehicles]) -> None:
+def _check_vehicles(reach: _Reach, frames: Sequence[Boxes]) -> None:
     """Refuse a mast that may stand in a vehicle, and over the lanes a LiDAR that one reaches up to."""
     (low, high), head_low, head_high = reach.feet, reach.head_low[:2], reach.head_high[:2]
     for vehicles in frames:
@@ -192,7 +193,7 @@ def _holds(corners: np.ndarray, place: np.ndarray) -> bool:
     return True
 
 
-def _driven_over(frames: Sequence[Vehicles], reach: _Reach) -> str:
+def _driven_over(frames: Sequence[Boxes], reach: _Reach) -> str:
     """Where vehicles pass where a mast may stand, as advice."""
     (low, high), facing = reach.feet, reach.facing_rad
     xy, size, heading = (

@@ -1,8 +1,8 @@
-"""What a mounting is judged by: an observation, the frames with the vehicles that count, how they are scored."""
+"""What a mounting is judged by: an observation, the vehicles that count, how they are scored."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,8 @@ from ..metrics.catalogue import PE_VGOP
 from ..road.road_map import polygon_holds
 from ..sensors.beams import BeamLattice
 from ..sensors.lidar import Lidar
-from ..traffic.vehicles import CLASSES, Vehicles
+from ..traffic.boxes import Boxes
+from ..traffic.vehicles import CLASSES
 from .settings import ObjectiveSettings
 
 
@@ -79,37 +80,6 @@ class Observation:
         return self if scenery is self.scenery else replace(self, scenery=scenery)
 
 
-WAY_COLUMNS = ("approach", "exit", "movement", "map_lane")
-"""Columns of a vehicle table, off straight roads: where a vehicle comes from and leaves, how it turns, its lane."""
-
-
-@dataclass(frozen=True, slots=True)
-class CountedFrame:
-    """A frame, and which of its vehicles count; the others hide and are not scored.
-
-    Attributes
-    ----------
-    vehicles : Vehicles
-        All v of them.
-    counted : ndarray of bool, (v,)
-        Those that are scored.
-    weight : ndarray, (v,), or None
-        How much each counts in the objective; None where all weigh one.
-    ways : mapping of str to ndarray of str, (v,), or None
-        Approach, exit and movement of each, and the map's lane; None beside a straight road.
-    """
-
-    vehicles: Vehicles
-    counted: np.ndarray
-    weight: np.ndarray | None = None
-    ways: Mapping[str, np.ndarray] | None = None
-
-    @property
-    def counted_weight(self) -> np.ndarray:
-        """Weights of the vehicles that count, (n,): whole numbers where all weigh one."""
-        return (np.ones_like(self.counted, dtype=np.int64) if self.weight is None else self.weight)[self.counted]
-
-
 @dataclass(frozen=True, slots=True)
 class Scoring:
     """What is made of what a mounting sees: the metric, and the settings of Eqs. 10 and 11.
@@ -124,7 +94,7 @@ class Scoring:
     metric: str = PE_VGOP.name
 
 
-def vehicle_weights(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray | None:
+def vehicle_weights(vehicles: Boxes, objective: ObjectiveSettings) -> np.ndarray | None:
     """How much each vehicle counts in the objective, (n,): its class's weight times that of the first zone that holds
     its box centre. None where the scene gives no weights.
     """
@@ -135,7 +105,7 @@ def vehicle_weights(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndar
     return of_class * of_zones[first_zone(objective, vehicles.centre_m[:, :2])]
 
 
-def of_scored_class(vehicles: Vehicles, objective: ObjectiveSettings) -> np.ndarray:
+def of_scored_class(vehicles: Boxes, objective: ObjectiveSettings) -> np.ndarray:
     """Which vehicles are of a class that [objective] scores, (n,) bool."""
     return np.isin(vehicles.class_index, [CLASSES.index(name) for name in objective.scored_classes])
 
@@ -147,7 +117,7 @@ def first_zone(objective: ObjectiveSettings, xy: np.ndarray) -> np.ndarray:
 
 
 def check_weights(
-    objective: ObjectiveSettings, searched: Sequence[CountedFrame], held_out: Sequence[CountedFrame], where: str
+    objective: ObjectiveSettings, searched: Sequence[Boxes], held_out: Sequence[Boxes], where: str
 ) -> None:
     """Refuse a zone that weighs no counted vehicle of the searched frames, and weights that leave none a weight.
 
@@ -156,7 +126,7 @@ def check_weights(
     InputError
         Naming `where` the weights came from.
     """
-    xy = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in searched])
+    xy = np.concatenate([frame.centre_m[frame.counted, :2] for frame in searched])
     first = first_zone(objective, xy)
     for number, zone in enumerate(objective.zones, start=1):
         if (first == number - 1).any():
@@ -172,7 +142,7 @@ def check_weights(
             f"those that count are at x {left:.1f} to {x:.1f} m, y {right:.1f} to {y:.1f} m"
         )
     if not any(frame.counted_weight.any() for frame in searched):
-        classes = np.unique(np.concatenate([frame.vehicles.class_name[frame.counted] for frame in searched]))
+        classes = np.unique(np.concatenate([frame.class_name[frame.counted] for frame in searched]))
         raise InputError(
             f"{where} class_weights, zones: leave no vehicle of the searched frames a weight above 0; "
             f"their classes are {', '.join(classes.tolist())}"

@@ -62,7 +62,7 @@ class Placed:
         region = region_of(scenario.region, road)
         near = np.flatnonzero(region.distance(recording) <= region.radius_m)
         near = near[np.unique(np.linspace(0, len(near) - 1, min(len(near), usual.SAMPLE)).astype(int))]
-        part = recording.where(np.bincount(near, minlength=len(recording)) > 0)
+        part = recording.select(np.bincount(near, minlength=len(recording)) > 0)
         at = road.locate(part.centre_m, part.heading_rad)
         heading = part.heading_rad - at.heading_rad
         edges = road.edges_t if scenario.straight else (0.0, 0.0)
@@ -125,9 +125,9 @@ def off_map(seen: LookedAt, half: float) -> Found:
     if seen.scenario.straight is not None:
         return None
     recording, region = seen.recording, seen.placed.region
-    part = recording.where(np.arange(len(recording)) % max(1, len(recording) // usual.SAMPLE) == 0)
+    part = recording.select(np.arange(len(recording)) % max(1, len(recording) // usual.SAMPLE) == 0)
     near = region.distance(part) <= region.radius_m
-    looked_at = part.where(near) if near.sum() >= usual.FEWEST else part
+    looked_at = part.select(near) if near.sum() >= usual.FEWEST else part
     share = seen.scenario.road_map.on(looked_at.centre_m).mean()
     if len(looked_at) < usual.FEWEST or share >= half:
         return None
@@ -306,7 +306,7 @@ def _in_one_place(recording: Recording) -> int:
     """Pairs of boxes that overlap about one middle, in the frames in which overlaps were looked for."""
     found = 0
     for frame in frames_looked_at(recording):
-        vehicles = recording.vehicles(frame)
+        vehicles = recording.at(frame)
         one, other = overlapping_pairs(vehicles).T
         apart = vehicles.centre_m[one, :2] - vehicles.centre_m[other, :2]
         found += int((np.hypot(*apart.T) < _SAME_PLACE_M).sum())

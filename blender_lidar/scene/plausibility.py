@@ -70,7 +70,7 @@ class LookedAt:
         self.recording, self.scenario, self.report = recording, scenario, recording.report
         self.warnings: dict[str, str] = {}
         rows = np.unique(np.linspace(0, len(everyone) - 1, min(len(everyone), usual.SAMPLE)).astype(int))
-        self.sample = everyone.where(np.bincount(rows, minlength=len(everyone)) > 0)
+        self.sample = everyone.select(np.bincount(rows, minlength=len(everyone)) > 0)
         self.tracks = motion.Tracks(recording)
 
     @cached_property
@@ -129,7 +129,7 @@ def _on_plane(recording: Recording, scenario: Scenario) -> Recording:
         return recording
     centre = recording.centre_m.copy()
     centre[:, 2] = 0.5 * recording.size_m[:, 2]
-    return recording.with_columns(centre_m=centre)
+    return replace(recording, centre_m=centre)
 
 
 _LEVEL_PERCENT = 0.2  # less than what a fit to vehicles of other heights gives by itself

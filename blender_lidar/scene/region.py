@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InputError, unknown_name
 from ..road.approaches import Spans, approach_spans, approaches_to, junction_named
 from ..road.road_map import RoadMap, polygon_holds
-from ..traffic.vehicles import Vehicles
+from ..traffic.boxes import Boxes
 from .settings import RegionSettings
 
 _ON_EDGE_M = 1e-9  # a box centre this near to an edge lies on it
@@ -63,11 +63,11 @@ class Region:
         turn = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
         return [self.centre_xy + self.radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=1)]
 
-    def distance(self, vehicles: Vehicles) -> np.ndarray:
+    def distance(self, vehicles: Boxes) -> np.ndarray:
         """Horizontal distance of each box centre from the middle, (n,) [m]."""
         return np.hypot(*(vehicles.centre_m[:, :2] - self.centre_xy).T)
 
-    def holds(self, vehicles: Vehicles) -> np.ndarray:
+    def holds(self, vehicles: Boxes) -> np.ndarray:
         """Which box centres lie inside, (n,) bool."""
         xy = vehicles.centre_m[:, :2]
         if self.polygon:
@@ -82,7 +82,7 @@ class Region:
             inside &= ~polygon_holds(polygon, xy)
         return inside
 
-    def _on_stretches(self, vehicles: Vehicles) -> np.ndarray:
+    def _on_stretches(self, vehicles: Boxes) -> np.ndarray:
         """Which lie on a stretch, (n,) bool; of boxes without lanes, such as detections, on the road's alone."""
         inside, located = np.zeros(len(vehicles), dtype=bool), self.road.locate(vehicles.centre_m)
         for (low, high), lanes in self.stretches:
@@ -90,7 +90,7 @@ class Region:
             inside |= along & (located.lane >= 0 if lanes is None else np.isin(vehicles.lane, lanes))
         return inside
 
-    def _on_lanes(self, vehicles: Vehicles) -> np.ndarray:
+    def _on_lanes(self, vehicles: Boxes) -> np.ndarray:
         """Which lie on the map's lanes that count, or in a junction, (n,) bool."""
         xy, inside = vehicles.centre_m[:, :2], np.zeros(len(vehicles), dtype=bool)
         if self.spans:

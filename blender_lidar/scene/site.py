@@ -17,10 +17,11 @@ from ..road.road_map import RoadMap
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.lidar import Lidar
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
-from ..traffic import FramePlan, Recording, Vehicles, joined_plans, joined_recordings, plan_frames
+from ..traffic import FramePlan, Recording, joined_plans, joined_recordings, plan_frames
+from ..traffic.boxes import Boxes
 from ..traffic.fleet import with_variety
 from ..traffic.frames import few_vehicles
-from ..traffic.movements import lane_names, ways_by_map, ways_by_track
+from ..traffic.movements import ways_by_map, ways_by_track, with_ways
 from ..traffic.vehicles import CLASSES, unknown_frame
 from ..world.clutter import Walkers, clutter
 from ..world.meshes import SURFACES
@@ -29,15 +30,7 @@ from ..world.scenery import Scenery, along_road, barrier, box, boxes_reach, join
 from . import usual
 from .mount_checks import check_mount_is_clear, extent, mount_notes
 from .mounting import Mounting
-from .observation import (
-    WAY_COLUMNS,
-    CountedFrame,
-    Observation,
-    Scoring,
-    check_weights,
-    of_scored_class,
-    vehicle_weights,
-)
+from .observation import Observation, Scoring, check_weights, of_scored_class, vehicle_weights
 from .place_checks import nobody_there
 from .plausibility import checked_recording
 from .provenance import run_identity, unchanged_inputs
@@ -190,7 +183,7 @@ class Site:
         The traffic; several recordings as `traffic.joined_recordings` makes them one.
     plan : FramePlan
         Searched and held-out frames.
-    search, holdout : tuple of CountedFrame
+    search, holdout : tuple of Boxes
         The frames of both; a vehicle counted in the search is never counted in the hold-out.
     identity : dict
         What must be the same for two runs on it to have the same result, by the files as they were read.
@@ -201,8 +194,8 @@ class Site:
     scoring: Scoring
     recording: Recording
     plan: FramePlan
-    search: tuple[CountedFrame, ...]
-    holdout: tuple[CountedFrame, ...]
+    search: tuple[Boxes, ...]
+    holdout: tuple[Boxes, ...]
     identity: dict[str, object]
 
     @property
@@ -228,7 +221,7 @@ class Site:
         """How far from the middle of the region vehicles are looked at: farther ones hide none that count [m]."""
         return reach_of(self.scenario)
 
-    def counted(self, vehicles: Vehicles) -> CountedFrame:
+    def counted(self, vehicles: Boxes) -> Boxes:
         """A frame of other traffic at this site: those within reach, and which of them count."""
         return _counted(vehicles, self.region, self.reach_m, self.scenario.objective)
 
@@ -284,7 +277,7 @@ def prepare(
     ]
     names = [one.name or "" for one in scenario.recordings]
     recording, plan = joined_recordings(recordings, names), joined_plans(plans, recordings, names)
-    frames = [recording.vehicles(frame) for frame in (*plan.search, *plan.holdout)]
+    frames = [recording.at(frame) for frame in (*plan.search, *plan.holdout)]
     stands = standing and standing.scenery
     check_mount_is_clear(scenario, frames, scenery=stands)
     hosts = scenario.each if len(given) == len(scenario.lidars) else [scenario] * len(given)
@@ -300,7 +293,7 @@ def prepare(
         if not any(searched[at].counted.any() for at in np.flatnonzero(of_recording)):
             _check_classes(own, scenario)
             raise nobody_there(own, region, int(of_recording.sum()), scenario)
-    judging = len({number for frame in held_out for number in frame.vehicles.vehicle_id[frame.counted].tolist()})
+    judging = len({number for frame in held_out for number in frame.vehicle_id[frame.counted].tolist()})
     notes = [*plan.notes, _out_of_range(scenario, given, searched), *_same_notes(recordings, names)]
     notes += [*mount_notes(scenario, given), few_vehicles(len(plan.searched_ids), judging if held_out else None)]
     plan = replace(plan, notes=tuple(filter(None, notes)))
@@ -335,7 +328,7 @@ def _same_notes(recordings: Sequence[Recording], names: Sequence[str]) -> Iterat
                 )
 
 
-def _out_of_range(scenario: Scenario, given: Sequence[Mounting], searched: Sequence[CountedFrame]) -> str | None:
+def _out_of_range(scenario: Scenario, given: Sequence[Mounting], searched: Sequence[Boxes]) -> str | None:
     """A note where many that count are beyond the range gate of every mount that is asked about.
 
     Raises
@@ -343,8 +336,8 @@ def _out_of_range(scenario: Scenario, given: Sequence[Mounting], searched: Seque
     InputError
         Where no mount of a search could see any, or none of one LiDAR's.
     """
-    xy = np.concatenate([frame.vehicles.centre_m[frame.counted, :2] for frame in searched])
-    half = 0.5 * np.concatenate([frame.vehicles.size_m[frame.counted, 0] for frame in searched])
+    xy = np.concatenate([frame.centre_m[frame.counted, :2] for frame in searched])
+    half = 0.5 * np.concatenate([frame.size_m[frame.counted, 0] for frame in searched])
     beyond, several = np.ones(len(xy), dtype=bool), bool(scenario.further_lidars)
     for number, one in enumerate(scenario.each):
         mounts = given[number : number + 1] if several and given else given or one.deployment.places
@@ -470,7 +463,7 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
         if not in_lanes.any():
             present = ", ".join(map(str, np.unique(recording.lane)))
             raise InputError(f"{recording.source}: no vehicle in lanes {list(settings.lanes)}; its lanes are {present}")
-        recording = recording.where(in_lanes)
+        recording = recording.select(in_lanes)
     return recording
 
 
@@ -478,7 +471,7 @@ def _finished(scenario: Scenario, recording: Recording) -> Recording:
     """A recording without the vehicles that are left out, checked, on the road's surface."""
     left_out = scenario.traffic.leave_out
     if left_out is not None:
-        recording = recording.where(~np.isin(recording.vehicle_id, left_out))
+        recording = recording.select(~np.isin(recording.vehicle_id, left_out))
     return _on_surface(checked_recording(recording, scenario), scenario.road_map)
 
 
@@ -493,7 +486,7 @@ def _on_surface(recording: Recording, road: RoadMap) -> Recording:
         return recording
     floor, above = recording.centre_m[:, 2] - 0.5 * recording.size_m[:, 2], road.surface.height(recording.centre_m)
     if (abs(floor) > usual.ON_PLANE_M).mean() <= usual.SOME:
-        return recording.with_columns(centre_m=recording.centre_m + np.outer(above, [0.0, 0.0, 1.0]))
+        return replace(recording, centre_m=recording.centre_m + np.outer(above, [0.0, 0.0, 1.0]))
     off = np.median(floor - above)
     if (abs(floor - above) <= usual.ON_PLANE_M).mean() >= usual.MOST:
         return recording
@@ -504,35 +497,27 @@ def _on_surface(recording: Recording, road: RoadMap) -> Recording:
     return replace(recording, report=replace(recording.report, notes=(*recording.report.notes, note)))
 
 
-def frame_of(recording: Recording, frame: int, option: str) -> Vehicles:
+def frame_of(recording: Recording, frame: int, option: str) -> Boxes:
     """One frame of a recording; an unknown number is refused with the option that gave it."""
     if frame not in recording.frames:
         raise InputError(f"{option}: {unknown_frame(frame, recording)}")
-    return recording.vehicles(frame)
+    return recording.at(frame)
 
 
-def _counted(vehicles, region, reach, objective: ObjectiveSettings, not_counted=()) -> CountedFrame:
+def _counted(vehicles, region, reach, objective: ObjectiveSettings, not_counted=()) -> Boxes:
     near = vehicles.select(region.distance(vehicles) <= reach)
     counted = region.holds(near) & of_scored_class(near, objective) & ~np.isin(near.vehicle_id, not_counted)
-    return CountedFrame(near, counted, vehicle_weights(near, objective))
+    return replace(near, counted=counted, weight=vehicle_weights(near, objective))
 
 
-def _with_ways(
-    frames: Sequence[CountedFrame], recording: Recording, scenario: Scenario, region: Region
-) -> tuple[CountedFrame, ...]:
+def _with_ways(frames: Sequence[Boxes], recording: Recording, scenario: Scenario, region: Region) -> tuple[Boxes, ...]:
     """The frames with approach, exit and movement of each vehicle, and the map's lane; none beside a straight road."""
     road = scenario.road_map
     if scenario.straight is not None:
         return tuple(frames)
     junctions = [scenario.region.junction] if scenario.region.junction else _junctions_in(region, road)
     ways = ways_by_map(recording, road, junctions) if road.lanes else ways_by_track(recording, region.centre_xy)
-    found = []
-    for frame in frames:
-        vehicles = frame.vehicles
-        columns = dict(zip(WAY_COLUMNS, ways.of(vehicles), strict=False))
-        columns[WAY_COLUMNS[-1]] = lane_names(road, road.locate(vehicles.centre_m, vehicles.heading_rad))
-        found.append(replace(frame, ways=columns))
-    return tuple(found)
+    return tuple(with_ways(frame, ways, road) for frame in frames)
 
 
 def _junctions_in(region: Region, road: RoadMap) -> list[str]:
@@ -545,7 +530,7 @@ def _junctions_in(region: Region, road: RoadMap) -> list[str]:
     return [name for name, xy in middles.items() if math.dist(xy, region.centre_xy) <= region.radius_m]
 
 
-def _weighted(frames: Sequence[CountedFrame], recording: np.ndarray, scenario: Scenario) -> tuple[CountedFrame, ...]:
+def _weighted(frames: Sequence[Boxes], recording: np.ndarray, scenario: Scenario) -> tuple[Boxes, ...]:
     """Frames of several recordings, all frames of each counting together as its weight says, however many they are."""
     if not len(frames):
         return ()

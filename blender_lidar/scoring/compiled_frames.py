@@ -44,7 +44,7 @@ class Targets(NamedTuple):
     reflectivity: np.ndarray
 
 
-class Boxes(NamedTuple):
+class PackedBoxes(NamedTuple):
     """The counted vehicles: centre (n, 3) [m], cosine and sine of the heading (n,), cells as in `ViewGrids`."""
 
     centre: np.ndarray
@@ -63,7 +63,7 @@ class FrameLidar(NamedTuple):
     lattice: BeamLattice
     components: np.ndarray
     reach_m: float
-    scene: tuple[Targets, MeasurementModel, tuple[BoxTree, ...] | None, Boxes]
+    scene: tuple[Targets, MeasurementModel, tuple[BoxTree, ...] | None, PackedBoxes]
 
 
 class CompiledScorer:
@@ -98,7 +98,7 @@ class CompiledScorer:
         targets = Targets(caster.planes, vehicle, surface == GLASS, REFLECTIVITY[surface])
         centre, heading = np.ascontiguousarray(vehicles.centre_m), vehicles.heading_rad
         of_grids = grids.half_m, grids.cell_m, grids.cells, grids.start, grids.words
-        boxes = Boxes(centre, np.cos(heading), np.sin(heading), *of_grids)
+        boxes = PackedBoxes(centre, np.cos(heading), np.sin(heading), *of_grids)
         standing = [] if scenery is None else scenery.occluders
         occluders = tuple(tree for _, tree in standing) or None
         self._origins = -np.stack([caster.origin, np.zeros(3), *(origin for origin, _ in standing)])
@@ -227,7 +227,7 @@ def mark_returns(
         The sensor's place as the targets, the boxes and each of the occluders count it [m].
     rotation, components : ndarray, (3, 3) and (3, b)
         The sensor's orientation, and the lattice's beams.
-    targets, measurement, occluders, boxes : Targets, MeasurementModel, o BoxTrees or None, Boxes
+    targets, measurement, occluders, boxes : Targets, MeasurementModel, o BoxTrees or None, PackedBoxes
     bits : ndarray of uint64
         As for `mark_points`.
     count : ndarray of int64, (n,)

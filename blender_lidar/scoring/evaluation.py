@@ -22,10 +22,11 @@ from ..compiled import within_blender
 from ..errors import InputError, shown
 from ..scene.installation import installed_layout
 from ..scene.mounting import Layout, poses_of
-from ..scene.observation import CountedFrame, Observation, Scoring
+from ..scene.observation import Observation, Scoring
 from ..scene.settings import ModelSettings
 from ..scene.site import Site
 from ..sensors.pose import Pose
+from ..traffic.boxes import Boxes
 from .cluster import ClusterWorkers
 from .fidelity import Fidelity, coarse_observation
 from .frame_scorer import FrameScorer, FrameShapes
@@ -143,7 +144,7 @@ class Evaluator:
 
     Parameters
     ----------
-    frames : sequence of CountedFrame
+    frames : sequence of Boxes
         The frames; their trees are built once, in each process that needs them, and kept.
     observation : Observation
         Sensor, range, caster and detail.
@@ -153,12 +154,12 @@ class Evaluator:
         Processes, this one among them; or any `map`, as of `mapped_by`.
     cluster : str, optional
         Address of a dask scheduler, whose workers are used instead.
-    held_out : sequence of CountedFrame
+    held_out : sequence of Boxes
         Further frames for the same processes, scored apart: by `held_out`.
 
     Attributes
     ----------
-    frames : tuple of CountedFrame, (f,)
+    frames : tuple of Boxes, (f,)
     metric : str
     lidars : tuple of str
         Names of the LiDARs of a layout.
@@ -168,12 +169,12 @@ class Evaluator:
 
     def __init__(
         self,
-        frames: Sequence[CountedFrame],
+        frames: Sequence[Boxes],
         observation: Observation,
         scoring: Scoring,
         workers: int | Callable = 1,
         cluster: str | None = None,
-        held_out: Sequence[CountedFrame] = (),
+        held_out: Sequence[Boxes] = (),
     ) -> None:
         self.frames, self._held_out, self.metric = tuple(frames), tuple(held_out), scoring.metric
         self.lidars = tuple(lidar.name for lidar in observation.lidars)
@@ -315,7 +316,7 @@ def _without_returns(scored: Scored) -> Scored:
     return scored._replace(seen=scored.seen._replace(returns=None))
 
 
-def site_evaluator(site: Site, frames: Sequence[CountedFrame], held_out: Sequence[CountedFrame] = ()) -> Evaluator:
+def site_evaluator(site: Site, frames: Sequence[Boxes], held_out: Sequence[Boxes] = ()) -> Evaluator:
     """An evaluator of mountings on frames of a site, as its scene asks for workers."""
     place = workplace_of(site.scenario.model)
     workers = place.mapping or place.processes
@@ -355,6 +356,6 @@ class _Work:
     def _scorer(self, frame, fidelity, observation) -> FrameScorer:
         if (fidelity, frame) not in self._scorers:
             chosen, place = self._frames[frame], (frame, observation.detail, observation.caster)
-            scorer = FrameScorer(chosen.vehicles, chosen.counted, observation, self._shapes.get(place))
+            scorer = FrameScorer(chosen, observation, self._shapes.get(place))
             self._scorers[fidelity, frame], self._shapes[place] = scorer, scorer.shapes
         return self._scorers[fidelity, frame]

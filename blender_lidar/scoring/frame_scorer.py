@@ -19,7 +19,7 @@ from ..metrics.view_grids import ViewGrids
 from ..scene.observation import Observation
 from ..sensors.pose import Pose
 from ..signals import stops_recognised
-from ..traffic.vehicles import Vehicles
+from ..traffic.boxes import Boxes
 from ..world.meshes import GLASS, REFLECTIVITY
 from ..world.triangles import vehicle_triangles
 
@@ -31,10 +31,8 @@ class FrameShapes:
 
     Parameters
     ----------
-    vehicles : Vehicles
-        All vehicles of the frame; each can hide another.
-    counted : ndarray of bool, (n,)
-        Those that are scored.
+    frame : Boxes
+        All vehicles; each can hide another, and those with `counted` are scored.
     detail : str
         Level of detail, of `world.shapes.DETAILS`.
     caster : str
@@ -44,7 +42,7 @@ class FrameShapes:
 
     Attributes
     ----------
-    counted : Vehicles
+    counted : Boxes
         The vehicles that are scored.
     own : ndarray of bool, (n,), or None
         Vehicles that have a mesh of the user's; None where none has.
@@ -58,18 +56,17 @@ class FrameShapes:
         What each triangle is made of, an index into `world.meshes.SURFACES`: ``surface[tree.face(triangle)]``.
     """
 
-    def __init__(
-        self, vehicles: Vehicles, counted: np.ndarray, detail: str, caster: str, bodies: OwnBodies | None = None
-    ) -> None:
-        self.frame, self.detail, self.caster = vehicles.frame, detail, caster
-        self.counted = vehicles.select(counted)
-        own = None if bodies is None else bodies.rows(vehicles) >= 0
+    def __init__(self, frame: Boxes, detail: str, caster: str, bodies: OwnBodies | None = None) -> None:
+        counted = np.ones(len(frame), dtype=bool) if frame.counted is None else frame.counted
+        self.frame, self.detail, self.caster = frame.frame, detail, caster
+        self.counted = frame.select(counted)
+        own = None if bodies is None else bodies.rows(frame) >= 0
         self.own = own if own is not None and own.any() else None
-        triangles = vehicle_triangles(vehicles, detail, self.own)
+        triangles = vehicle_triangles(frame, detail, self.own)
         self.owner, self.surface = triangles.owner, triangles.surface
         self.tree = caster_class(caster)(triangles.corners, closed=True)
         if self.own is not None:
-            self.tree = InstancedTree(self.tree, len(triangles), vehicles.select(own), bodies)
+            self.tree = InstancedTree(self.tree, len(triangles), frame.select(own), bodies)
             self.owner = np.append(self.owner, np.flatnonzero(own).astype(np.int32))
             self.surface = np.concatenate([self.surface, *(one.surface for one in bodies.shapes.values())])
         rows = np.append(np.where(counted, np.cumsum(counted) - 1, -1), -1)  # the last is that of `STATIC`
@@ -122,10 +119,8 @@ class FrameScorer:
 
     Parameters
     ----------
-    vehicles : Vehicles
-        All vehicles of the frame; each can hide another.
-    counted : ndarray of bool, (n,)
-        Those whose occupancy is wanted.
+    frame : Boxes
+        All vehicles; each can hide another, and those with `counted` are scored.
     observation : Observation
         The LiDARs of a layout, caster and detail. What their imperfections draw is kept: up to 8 bytes for each beam.
     shapes : FrameShapes, optional
@@ -133,7 +128,7 @@ class FrameScorer:
 
     Attributes
     ----------
-    vehicles : Vehicles
+    vehicles : Boxes
         The counted vehicles.
     shapes : FrameShapes
     grids : ViewGrids
@@ -142,17 +137,11 @@ class FrameScorer:
         Who does the same where Numba is installed, for a frame in which something counts.
     """
 
-    def __init__(
-        self,
-        vehicles: Vehicles,
-        counted: np.ndarray,
-        observation: Observation,
-        shapes: FrameShapes | None = None,
-    ) -> None:
-        self._observation = seen = observation.at(vehicles.time_s)
-        self.shapes = shapes or FrameShapes(vehicles, counted, seen.detail, seen.caster, seen.bodies)
+    def __init__(self, frame: Boxes, observation: Observation, shapes: FrameShapes | None = None) -> None:
+        self._observation = seen = observation.at(frame.time_s)
+        self.shapes = shapes or FrameShapes(frame, seen.detail, seen.caster, seen.bodies)
         self.vehicles = self.shapes.counted
-        self._measurements = [lidar.measurement(vehicles.draw) for lidar in seen.lidars]
+        self._measurements = [lidar.measurement(frame.draw) for lidar in seen.lidars]
         self.grids = ViewGrids(self.vehicles.size_m, seen.cell_m, seen.reading)
         self.cell_growth = seen.cell_growth
         self.compiled = None

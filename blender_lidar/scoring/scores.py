@@ -11,8 +11,9 @@ import numpy as np
 from ..metrics.catalogue import metric_named
 from ..metrics.metric import NEEDS_POINTS, VehicleReturns
 from ..optimise.objective import detectable, vehicle_score
-from ..scene.observation import CountedFrame, Observation, Scoring
+from ..scene.observation import Observation, Scoring
 from ..sensors.pose import Pose
+from ..traffic.boxes import Boxes
 from .frame_scorer import FrameScorer, Seen
 
 
@@ -46,16 +47,16 @@ class VehicleScores:
         The metric and the settings of Eqs. 10 and 11.
     observation : Observation
         How vehicles are seen.
-    frames : sequence of CountedFrame
+    frames : sequence of Boxes
         All that will be scored: a metric with a memory learns from them, once.
     """
 
-    def __init__(self, scoring: Scoring, observation: Observation, frames: Sequence[CountedFrame]) -> None:
+    def __init__(self, scoring: Scoring, observation: Observation, frames: Sequence[Boxes]) -> None:
         self._scoring, self._metric = scoring, metric_named(scoring.metric)
         if self._metric.learn is not None:
             self._metric = replace(self._metric, score=self._metric.learn(frames, observation))
 
-    def of(self, frame: CountedFrame, scorer: FrameScorer, layouts: Sequence[Sequence[Pose]]) -> Scored:
+    def of(self, frame: Boxes, scorer: FrameScorer, layouts: Sequence[Sequence[Pose]]) -> Scored:
         """Score s layouts, given by the poses of their LiDARs, on the frame of a scorer."""
         return self.of_seen(frame, scorer, scorer.see(layouts, keep_returns=self.needs_returns), layouts)
 
@@ -64,9 +65,7 @@ class VehicleScores:
         """Whether the metric asks for the returns themselves."""
         return NEEDS_POINTS in self._metric.needs
 
-    def of_seen(
-        self, frame: CountedFrame, scorer: FrameScorer, seen: Seen, layouts: Sequence[Sequence[Pose]]
-    ) -> Scored:
+    def of_seen(self, frame: Boxes, scorer: FrameScorer, seen: Seen, layouts: Sequence[Sequence[Pose]]) -> Scored:
         """As `of`, given what the layouts saw, with the returns where the metric asks for them."""
         scoring, metric = self._scoring, self._metric
         noticed = detectable(seen.occupancy, scoring.threshold, scoring.view)

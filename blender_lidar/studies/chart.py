@@ -209,7 +209,7 @@ def time_fidelities(
         scorers = []
         for row, one in enumerate(sites):
             start = time.perf_counter()
-            scorers.append(FrameScorer(frame.vehicles, frame.counted, one.observation))
+            scorers.append(FrameScorer(frame, one.observation))
             build[row, column] = time.perf_counter() - start
         for turn in range(-1, rounds):
             some = [poses[(turn + number) % len(poses)] for number in range(TOGETHER)]

@@ -199,7 +199,7 @@ class PairedFrame:
         boxes, toward = self._frame.boxes.select(self._rows), self._count(np.ones(len(self.box), dtype=bool))
         return {
             "frame": np.full(len(self._rows), self._frame.name),
-            "vehicle_id": boxes.number,
+            "vehicle_id": boxes.vehicle_id,
             "class": boxes.label,
             "distance_m": distance_m(boxes, self._setup.pose),
             **dict(zip(("length_m", "width_m", "height_m"), boxes.size_m.T, strict=True)),

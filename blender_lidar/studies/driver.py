@@ -24,13 +24,14 @@ from ..run.optimise import sensors_text
 from ..scene.deployment import Installer
 from ..scene.installation import installed_layout, latin_errors
 from ..scene.mounting import Layout, poses_of
-from ..scene.observation import CountedFrame, Observation
+from ..scene.observation import Observation
 from ..scene.provenance import check_identity, versions
 from ..scene.site import Site
 from ..scoring.evaluation import workplace_of
 from ..scoring.frame_scorer import FrameScorer, Seen
 from ..scoring.scores import VehicleScores
 from ..statistics import block_sums
+from ..traffic.boxes import Boxes
 
 # --- what all results say ---------------------------------------------------------------------------------------------
 
@@ -245,7 +246,7 @@ class Job:
         return f"{self.variation.stage}_{self.split.replace(' ', '_')}"
 
 
-def split_of(site: Site, split: str) -> tuple[tuple[CountedFrame, ...], np.ndarray]:
+def split_of(site: Site, split: str) -> tuple[tuple[Boxes, ...], np.ndarray]:
     """The frames of a split, and the block of time (f,) that each belongs to."""
     return (site.search, site.plan.search_block) if split == SEARCHED else (site.holdout, site.plan.holdout_block)
 
@@ -374,7 +375,7 @@ class _FrameOfCast:
         chosen = split_of(site, jobs[0].split)[0][frame]
         if self._errors is not None:
             layouts = [installed_layout(one, error) for one in layouts for error in self._errors[frame]]
-        scorer, parts = FrameScorer(chosen.vehicles, chosen.counted, site.observation), []
+        scorer, parts = FrameScorer(chosen, site.observation), []
         for first in range(0, len(layouts), _MOUNTINGS_AT_A_TIME):
             poses = list(map(poses_of, layouts[first : first + _MOUNTINGS_AT_A_TIME]))
             cast = scorer.see(poses, keep_returns=shared or known[0][1].needs_returns)

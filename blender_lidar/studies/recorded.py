@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from ..detection.labels import frame_of, places_alone, read_labels
 from ..errors import InputError
 from ..metrics.vgop import to_vehicle_frame
 from ..sensors.pose import Pose
+from ..traffic.boxes import Boxes
 from ..world.triangles import shape_names
 
 NO_POINT = -1
@@ -26,43 +27,26 @@ _TURN = 2.0 * math.pi
 # --- Points and boxes -------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LabelledBoxes:
-    """The bounding boxes of one recorded cloud.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LabelledBoxes(Boxes):
+    """The bounding boxes of one recorded cloud, in its frame.
 
     Attributes
     ----------
-    number : ndarray of int64, (n,)
-        Identifies each in its frame: its vehicle_id.
     label : ndarray of str, (n,)
         What each is, in the words of the file.
     shape : ndarray of str, (n,)
         The shape of `world.shapes` that stands for each; empty for what only hides others, a plain box.
-    centre_m, size_m : ndarray, (n, 3)
-        Box centres; length, width and height [m, frame of the cloud].
-    heading_rad : ndarray, (n,)
-        Counter-clockwise from +x [rad].
     """
 
-    number: np.ndarray
     label: np.ndarray
     shape: np.ndarray
-    centre_m: np.ndarray
-    size_m: np.ndarray
-    heading_rad: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.label)
 
     def of_class(self, classes: Sequence[str] | None) -> np.ndarray:
         """Which boxes bear one of the labels, capitals or not, or have a shape where none is given; (n,) bool."""
         if classes is None:
             return self.shape != ""
         return np.isin(np.char.lower(self.label.astype(str)), [name.lower() for name in classes])
-
-    def select(self, which: np.ndarray) -> LabelledBoxes:
-        """The boxes that `which`, a (n,) mask or an index array, picks."""
-        return LabelledBoxes(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,15 +105,12 @@ def labelled_frames(
         raise InputError(f"--frame: {len(frames)} numbers; allowed: one for each of the {len(clouds)} clouds")
     alone = places_alone(labels)
     for cloud, frame in zip(clouds, frames, strict=True):
-        vehicles = recording.vehicles(int(frame))
+        vehicles = recording.at(int(frame))
         guessed = [(int(frame), own) in alone for own in vehicles.vehicle_id.tolist()]
         boxes = LabelledBoxes(
-            number=vehicles.vehicle_id,
+            **vehicles.columns() | {"frame": vehicles.frame, "time_s": vehicles.time_s},
             label=np.where(guessed, PLACE_ALONE, vehicles.class_name),
             shape=np.where(guessed, "", shape_names(vehicles)),
-            centre_m=vehicles.centre_m,
-            size_m=vehicles.size_m,
-            heading_rad=vehicles.heading_rad,
         )
         points = read_points(cloud)[0]
         yield RecordedFrame(str(int(frame)), str(cloud), points if hung is None else hung.placed(points), boxes)

@@ -291,7 +291,7 @@ def _judging_split(site: Site) -> str:
 
 def _judges(site: Site, judging: str) -> Judges:
     frames, block = split_of(site, judging)
-    counted = np.concatenate([frame.vehicles.vehicle_id[frame.counted] for frame in frames])
+    counted = np.concatenate([frame.vehicle_id[frame.counted] for frame in frames])
     return Judges(block, len(np.unique(counted)) / max(1, len(counted)), metric_named(site.scoring.metric))
 
 

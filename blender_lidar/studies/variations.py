@@ -25,7 +25,8 @@ from ..scene.site import Site, lattice_of, standing_scenery
 from ..scene.usual import ON_PLANE_M
 from ..scoring.fidelity import Fidelity, coarse_observation
 from ..sensors.beams import BeamLattice, beam_lattice
-from ..traffic.vehicles import PEDESTRIAN, Vehicles
+from ..traffic.boxes import Boxes
+from ..traffic.vehicles import PEDESTRIAN
 from ..world.scenery import along_road, barrier, join
 from ..world.shapes import DETAILS
 from .driver import Variation
@@ -235,7 +236,7 @@ def _median_barrier(site: Site, own: Variation) -> list[Ablation]:
 
 def _pedestrians_hide(site: Site) -> bool:
     """Whether there are pedestrians who are not scored, and so only hide vehicles."""
-    there = any((frame.vehicles.class_index == PEDESTRIAN).any() for frame in site.search)
+    there = any((frame.class_index == PEDESTRIAN).any() for frame in site.search)
     return there and "pedestrian" not in site.scenario.objective.scored_classes
 
 
@@ -280,7 +281,7 @@ def levelled(site: Site) -> Site:
         raise InputError(f"the masts' feet differ by {np.ptp(feet_m):.2f} m: no level road is under them all")
     foot_m = float(feet_m[0])
 
-    def lowered(vehicles: Vehicles) -> Vehicles:
+    def lowered(vehicles: Boxes) -> Boxes:
         off = (surface.height(vehicles.centre_m) - foot_m)[:, None] * [0.0, 0.0, 1.0]
         return replace(vehicles, centre_m=vehicles.centre_m - off)
 

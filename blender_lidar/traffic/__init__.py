@@ -1,4 +1,4 @@
-"""Traffic: recordings of any kind into one `Vehicles` per frame, in metres and in the road frame.
+"""Traffic: recordings of any kind into one `Boxes` per frame, in metres and in the road frame.
 
 Tables that are not plain need pandas, imported when one is read; the rest needs numpy alone.
 """
@@ -15,6 +15,7 @@ from ..csv_tables import delimiter_of, first_lines, foreign, quoted
 from ..errors import InputError, unknown_name
 from ..names import TRAFFIC_FORMATS
 from ..road import StraightRoad
+from .boxes import Boxes
 from .frames import FramePlan, instants, joined_plans, joined_recordings, plan_frames, well_populated_frames
 from .ngsim import NGSIM_COLUMNS, read_ngsim
 from .ngsim import likeness as ngsim_likeness
@@ -22,14 +23,14 @@ from .presets import PRESETS, meta_files, preset_of, read_preset
 from .sumo import FCD_NEEDED, kind_of_fcd, read_sumo
 from .table import BOX_NEEDED, read_table, write_table
 from .table import likeness as table_likeness
-from .vehicles import CLASSES, Recording, RepairReport, Vehicles, overlapping_pairs, with_overlaps_reported
+from .vehicles import CLASSES, Recording, RepairReport, overlapping_pairs, with_overlaps_reported
 
 __all__ = [
     "CLASSES",
+    "Boxes",
     "FramePlan",
     "Recording",
     "RepairReport",
-    "Vehicles",
     "format_of",
     "instants",
     "joined_plans",

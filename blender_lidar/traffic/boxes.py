@@ -1,77 +1,174 @@
-"""Oriented boxes that a detector found, their overlap from above (bird's-eye-view IoU) and non-maximum suppression."""
+"""Oriented bounding boxes, one table of all; their overlap from above (bird's-eye-view IoU), suppression and fusion."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ..names import KINDS
-from .vehicles import CLASSES, Vehicles
+from ..names import CLASSES, KINDS
 
 _KINDS_OF = {"van": "car", "truck": KINDS[1], "bus": KINDS[1], "bicycle": "motorcycle"}
 _KIND_OF_CLASS = np.array([-1 if c == "pedestrian" else KINDS.index(_KINDS_OF.get(c, c)) for c in CLASSES])
+_CLASS_OF_KIND = np.array([CLASSES.index(_class) for _class in ("car", "truck", "motorcycle")], dtype=np.int8)
+
+DTYPES = {
+    "vehicle_id": np.int64,
+    "class_index": np.int8,
+    "centre_m": np.float64,
+    "size_m": np.float64,
+    "heading_rad": np.float64,
+    "lane": np.int16,
+    "body": np.int8,
+}
+"""Of the columns that traffic has."""
+WAY_COLUMNS = ("approach", "exit", "movement", "map_lane")
+"""Those that a frame has off straight roads: where a vehicle comes from and leaves, how it turns, its lane."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DetectedBoxes:
-    """Detections of one frame in the road frame.
+class Boxes:
+    """Oriented bounding boxes in the road frame, a row each: vehicles and persons of a frame or more, or detections.
+
+    Columns that are not known, or do not apply, are None. Of a frame that is scored, what does not count only hides.
 
     Attributes
     ----------
-    centre_m : ndarray, (n, 3)
+    frame : int, or ndarray, (n,) int64
+        Frame number, as the recording counts them: one number where all rows are of one frame.
+    time_s : float, or ndarray, (n,)
+        Time of the frame [s], from the recording's own zero.
+    vehicle_id : ndarray, (n,) int64
+        -1 of detections.
+    class_index : ndarray, (n,) int8
+        Index into `CLASSES`.
+    centre_m : ndarray, (n, 3) float64
         Box centres [m].
-    size_m : ndarray, (n, 3)
-        Length, width, height [m].
-    heading_rad : ndarray, (n,)
+    size_m : ndarray, (n, 3) float64
+        Length, width and height [m].
+    heading_rad : ndarray, (n,) float64
         Counter-clockwise from +x [rad].
-    kind : ndarray of int8, (n,)
-        Index into `KINDS`.
-    confidence : ndarray, (n,)
-        0 to 1.
+    lane : ndarray, (n,) int16
+        Lane number of the source; 0 where unknown.
+    body : ndarray, (n,) int8, or None
+        Which of `fleet.BODIES` each has, from 1 on; 0: the usual one of its class and length, None: all have that.
+    confidence : ndarray, (n,), or None
+        Of detections, 0 to 1.
+    counted : ndarray, (n,) bool, or None
+        Those that are scored; None where all are.
+    weight : ndarray, (n,), or None
+        How much each counts in the objective; None where all weigh one.
+    approach, exit, movement, map_lane : ndarray, (n,) str, or None
+        The road that each comes from and the one that it leaves by, how it turns, and the map's lane; nothing where it
+        is not known, None beside a straight road.
+    since_ms : int
+        Of one frame: whole milliseconds since the instant before; 0 at one.
     """
 
+    frame: int | np.ndarray
+    time_s: float | np.ndarray
+    vehicle_id: np.ndarray
+    class_index: np.ndarray
     centre_m: np.ndarray
     size_m: np.ndarray
     heading_rad: np.ndarray
-    kind: np.ndarray
-    confidence: np.ndarray
+    lane: np.ndarray
+    body: np.ndarray | None = None
+    confidence: np.ndarray | None = None
+    counted: np.ndarray | None = None
+    weight: np.ndarray | None = None
+    approach: np.ndarray | None = None
+    exit: np.ndarray | None = None
+    movement: np.ndarray | None = None
+    map_lane: np.ndarray | None = None
+    since_ms: int = 0
 
     def __len__(self) -> int:
-        return len(self.confidence)
+        return len(self.vehicle_id)
 
-    def select(self, which: np.ndarray) -> DetectedBoxes:
-        """Some of them, by a mask or by rows."""
-        return DetectedBoxes(*(getattr(self, field.name)[which] for field in fields(self)))
+    @property
+    def draw(self) -> int:
+        """What imperfections draw by: `frame` at an instant, another number for each moment between two."""
+        return self.frame + (self.since_ms << 32)
+
+    @property
+    def xy(self) -> np.ndarray:
+        """Box centres seen from above, (n, 2) [m]."""
+        return self.centre_m[:, :2]
+
+    @property
+    def class_name(self) -> np.ndarray:
+        """Class names, (n,) str."""
+        return np.array(CLASSES)[self.class_index]
+
+    @property
+    def kind(self) -> np.ndarray:
+        """Index into `KINDS` of what detectors tell apart, (n,) int; -1 for pedestrians."""
+        return _KIND_OF_CLASS[self.class_index]
+
+    @property
+    def counted_weight(self) -> np.ndarray:
+        """Weights of the boxes that count: whole numbers where all weigh one."""
+        return (np.ones(len(self), dtype=np.int64) if self.weight is None else self.weight)[self.counted]
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """What there is of each row, by name."""
+        values = ((field.name, getattr(self, field.name)) for field in fields(self))
+        return {name: value for name, value in values if isinstance(value, np.ndarray)}
+
+    def rows_of(self, vehicle_id: np.ndarray) -> np.ndarray:
+        """Row of each of some vehicles, (k,) int64; -1 of those that are not there."""
+        order, found = np.argsort(self.vehicle_id), np.full(len(vehicle_id), -1)
+        there = np.isin(vehicle_id, self.vehicle_id)
+        found[there] = order[np.searchsorted(self.vehicle_id, vehicle_id[there], sorter=order)]
+        return found
+
+    def table(self) -> dict[str, np.ndarray]:
+        """The columns of a table of boxes, as `traffic.table` reads them: frame, vehicle_id, class ... heading_deg."""
+        return {
+            "frame": np.full(len(self), self.frame),
+            "vehicle_id": self.vehicle_id,
+            "class": self.class_name,
+            **dict(zip(("x_m", "y_m", "z_m"), self.centre_m.T, strict=True)),
+            **dict(zip(("length_m", "width_m", "height_m"), self.size_m.T, strict=True)),
+            "heading_deg": np.degrees(self.heading_rad),
+        }
+
+    def select(self, which: np.ndarray | slice) -> Boxes:
+        """The same with the rows that `which`, a (n,) mask, an index array or a slice, picks."""
+        return replace(self, **{name: column[which] for name, column in self.columns().items()})
 
 
-def no_boxes() -> DetectedBoxes:
-    """The boxes of a frame in which nothing was found."""
-    return DetectedBoxes(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0, np.int8), np.empty(0))
+def no_boxes(frame: int = 0, time_s: float = 0.0) -> Boxes:
+    """A frame without vehicles, or in which nothing was found."""
+    return replace(boxes_of_rows([]), frame=frame, time_s=time_s)
 
 
-def join_boxes(parts: Sequence[DetectedBoxes]) -> DetectedBoxes:
-    """Several as one."""
-    columns = ([getattr(part, field.name) for part in (no_boxes(), *parts)] for field in fields(DetectedBoxes))
-    return DetectedBoxes(*map(np.concatenate, columns))
+def detected_boxes(centre_m, size_m, heading_rad, kind, confidence) -> Boxes:
+    """Detections of one frame, by columns of `Boxes`; `kind` is an index into `KINDS`, (n,) int."""
+    nobody, lane = np.full(len(kind), -1), np.zeros(len(kind), dtype=np.int16)
+    where = centre_m, size_m, heading_rad
+    return Boxes(0, 0.0, nobody, _CLASS_OF_KIND[kind], *where, lane, confidence=confidence)
 
 
-def boxes_of_rows(rows: Iterable[Sequence[float]]) -> DetectedBoxes:
-    """DetectedBoxes from rows of x, y, z, length, width, height [m], heading [rad], kind and confidence."""
+def join_boxes(parts: Sequence[Boxes]) -> Boxes:
+    """Detections of several frames or LiDARs as one."""
+    none = no_boxes()
+    columns = {name: [getattr(part, name) for part in (none, *parts)] for name in none.columns()}
+    return replace(none, **{name: np.concatenate(column) for name, column in columns.items()})
+
+
+def boxes_of_rows(rows: Iterable[Sequence[float]]) -> Boxes:
+    """Detections from rows of x, y, z, length, width, height [m], heading [rad], kind and confidence."""
     table = np.array(list(rows), dtype=float).reshape(-1, 9)
-    return DetectedBoxes(table[:, :3], table[:, 3:6], table[:, 6], table[:, 7].astype(np.int8), table[:, 8])
-
-
-def kind_of(class_index: np.ndarray) -> np.ndarray:
-    """The kind of vehicles, (n,), by their class."""
-    return _KIND_OF_CLASS[class_index]
+    return detected_boxes(table[:, :3], table[:, 3:6], table[:, 6], table[:, 7].astype(np.int8), table[:, 8])
 
 
 # --- Overlap from above -----------------------------------------------------------------------------------------------
 
 
-def corners_of(boxes: DetectedBoxes | Vehicles) -> np.ndarray:
+def corners_of(boxes: Boxes) -> np.ndarray:
     """Corners of footprints, (n, 4, 2) [m], counter-clockwise from the front left one."""
     half = 0.5 * boxes.size_m[:, None, :2] * np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
     cos, sin = np.cos(boxes.heading_rad)[:, None], np.sin(boxes.heading_rad)[:, None]
@@ -79,7 +176,7 @@ def corners_of(boxes: DetectedBoxes | Vehicles) -> np.ndarray:
     return boxes.centre_m[:, None, :2] + turned
 
 
-def bev_iou(boxes: DetectedBoxes | Vehicles, others: DetectedBoxes | Vehicles) -> np.ndarray:
+def bev_iou(boxes: Boxes, others: Boxes) -> np.ndarray:
     """Rotated bird's-eye-view IoU: intersection over union of footprints, (n, m), 0 to 1.
 
     The corners of an intersection of convex polygons are the corners of each that lie in the other, and where their
@@ -141,7 +238,7 @@ def _hull_area(points: np.ndarray, real: np.ndarray) -> np.ndarray:
     return 0.5 * np.abs((away[..., 0] * following[..., 1] - away[..., 1] * following[..., 0]).sum(axis=1))
 
 
-def suppressed(boxes: DetectedBoxes, most_iou: float) -> DetectedBoxes:
+def suppressed(boxes: Boxes, most_iou: float) -> Boxes:
     """Non-maximum suppression: the surest first, less those that overlap a surer one by more than `most_iou`."""
     boxes = boxes.select(np.argsort(-boxes.confidence, kind="stable"))
     overlap = bev_iou(boxes, boxes) > most_iou
@@ -156,7 +253,7 @@ _SAME_IOU = 0.1  # vehicles do not overlap: boxes that do are of one; it is what
 HIT_M = 2.0  # centres at most so far apart are of one vehicle: the third of nuScenes' thresholds
 
 
-def late_fusion(parts: Sequence[DetectedBoxes]) -> DetectedBoxes:
+def late_fusion(parts: Sequence[Boxes]) -> Boxes:
     """The detections of several LiDARs as one list: weighted boxes fusion, in which boxes of one vehicle are merged.
 
     The surest box takes of each other LiDAR the one that is left, of any kind, and overlaps it most, by more than 0.1
@@ -188,6 +285,5 @@ def late_fusion(parts: Sequence[DetectedBoxes]) -> DetectedBoxes:
         alike = (boxes.kind[group] == boxes.kind[row]) & (np.abs(off[:, -1]) <= 0.25 * np.pi)
         weight = np.maximum(boxes.confidence[group][alike], 1e-9)
         table[row] += weight @ off[alike] / weight.sum()
-    table = table[kept]
-    merged = DetectedBoxes(table[:, :3], table[:, 3:6], table[:, 6], boxes.kind[kept], boxes.confidence[kept])
-    return suppressed(merged, _SAME_IOU)
+    boxes = replace(boxes, centre_m=table[:, :3], size_m=table[:, 3:6], heading_rad=table[:, 6])
+    return suppressed(boxes.select(kept), _SAME_IOU)

@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .vehicles import Recording, Vehicles
+from .boxes import Boxes
+from .vehicles import Recording
 
 _STILL_M_S = 1.0
 _FINEST_S, _COARSEST_S = 1.0, 10.0  # between two looks; coarser ones take a multiple of a cycle for it
@@ -18,7 +19,7 @@ _QUEUE = 3  # vehicles
 
 
 def signal_cycle_s(
-    recording: Recording, frames: np.ndarray, holds: Callable[[Vehicles], np.ndarray]
+    recording: Recording, frames: np.ndarray, holds: Callable[[Boxes], np.ndarray]
 ) -> tuple[float | None, bool]:
     """The cycle of the signal that holds up the traffic of a region, and whether queues come and go there at all.
 
@@ -64,16 +65,16 @@ def _standing(recording, frames, holds) -> tuple[np.ndarray, np.ndarray]:
     _, first = np.unique((time_s - time_s[0] + 1e-6) // _FINEST_S, return_index=True)
     still, before = np.zeros(len(recording), dtype=bool), None
     for frame in frames[first]:
-        now, begins = recording.vehicles(frame), np.searchsorted(recording.frame, frame)
-        if before is not None and len(before):
-            at = np.minimum(np.searchsorted(before.vehicle_id, now.vehicle_id), len(before) - 1)
+        now, begins = recording.at(frame), np.searchsorted(recording.frame, frame)
+        if before is not None:
+            at = before.rows_of(now.vehicle_id)
             moved_m = np.hypot(*(now.centre_m - before.centre_m[at])[:, :2].T)
-            stands = (before.vehicle_id[at] == now.vehicle_id) & (moved_m <= _STILL_M_S * (now.time_s - before.time_s))
+            stands = (at >= 0) & (moved_m <= _STILL_M_S * (now.time_s - before.time_s))
             still[begins : begins + len(now)] = stands
         before = now
-    standing, part = np.zeros((len(first), 4)), recording.where(still) if still.any() else None
+    standing, part = np.zeros((len(first), 4)), recording.select(still) if still.any() else None
     if part is not None:
-        part = part.where(holds(part))
+        part = part.select(holds(part))
         quarter = np.round(part.heading_rad / (0.5 * np.pi)).astype(int) % 4
         np.add.at(standing, (np.searchsorted(frames[first], part.frame), quarter), 1)
     return time_s[first], standing

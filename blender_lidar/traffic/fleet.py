@@ -18,13 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..road.road_map import RoadMap
+from .boxes import Boxes
 from .vehicles import (
     CLASSES,
     FLEET_KINDS,
     HEIGHTS_M,
     PEDESTRIAN,
     Recording,
-    Vehicles,
     fleet_kind,
     rectangles_overlap,
 )
@@ -88,7 +88,7 @@ FLEET = {
 """The bodies of each kind of vehicle, as `HEIGHTS_M` names the kinds, the usual one first."""
 KIND_OF_BODY = {body.name: kind for kind, bodies in FLEET.items() for body in bodies}
 BODIES = tuple(KIND_OF_BODY)
-"""All of them by name; `Vehicles.body` counts into them from 1 on."""
+"""All of them by name; `Boxes.body` counts into them from 1 on."""
 _LENGTHS_M = (3.5, 5.5)  # between which heights go with lengths
 
 
@@ -130,7 +130,7 @@ def with_variety(
     size, centre = recording.size_m.copy(), recording.centre_m.copy()
     size[:, 2] *= factor[of]
     centre[:, 2] += 0.5 * (size[:, 2] - recording.size_m[:, 2])
-    return recording.with_columns(size_m=size, centre_m=centre, body=body[of])
+    return replace(recording, size_m=size, centre_m=centre, body=body[of])
 
 
 def heights_are_assumed(recording: Recording) -> bool:
@@ -200,7 +200,7 @@ Gaps = Callable[[np.ndarray], np.ndarray]
 """New bumper gaps from old ones [m]; negative where vehicles overlap."""
 
 
-def turned_into(vehicles: Vehicles, ids: np.ndarray, kind: int) -> Vehicles:
+def turned_into(vehicles: Boxes, ids: np.ndarray, kind: int) -> Boxes:
     """The vehicles of those ids turned into lorries or cars where they stand; `queued` makes room for them."""
     chosen = np.isin(vehicles.vehicle_id, ids)
     size, centre = vehicles.size_m.copy(), vehicles.centre_m.copy()
@@ -212,7 +212,7 @@ def turned_into(vehicles: Vehicles, ids: np.ndarray, kind: int) -> Vehicles:
     return replace(vehicles, size_m=size, centre_m=centre, class_index=classes, body=body)
 
 
-def lorries_in_place(vehicles: Vehicles, ids: np.ndarray) -> Vehicles:
+def lorries_in_place(vehicles: Boxes, ids: np.ndarray) -> Boxes:
     """The vehicles of those ids turned into lorries that keep their front bumpers, as long as the room behind allows.
 
     Behind each 1 m stays free to the next box in its path: one whose extent across the lorry's heading overlaps the
@@ -221,7 +221,7 @@ def lorries_in_place(vehicles: Vehicles, ids: np.ndarray) -> Vehicles:
 
     Parameters
     ----------
-    vehicles : Vehicles
+    vehicles : Boxes
         One frame.
     ids : ndarray
         Numbers of the vehicles that become lorries.
@@ -262,7 +262,7 @@ def _length_of_lorry(own_m: float, width_m: float, extents: np.ndarray) -> float
 
 
 def queued(
-    vehicles: Vehicles,
+    vehicles: Boxes,
     lengths_m: np.ndarray,
     gaps: Gaps,
     *,
@@ -270,12 +270,12 @@ def queued(
     road: RoadMap,
     filled_to_m: float = 0.0,
     copies_from: int = 0,
-) -> Vehicles:
+) -> Boxes:
     """Vehicles lined up again, lane by lane, about the one that is nearest to station `anchor_m`, which stays.
 
     Parameters
     ----------
-    vehicles : Vehicles
+    vehicles : Boxes
         One frame, with the sizes that they are to have.
     lengths_m : ndarray, (n,)
         The lengths that they had: what their gaps are measured with.
@@ -294,7 +294,7 @@ def queued(
 
     Returns
     -------
-    Vehicles
+    Boxes
         With copies, if any, at the end. What drives across the road stays where it is.
     """
     at, (right, left), width = road.locate(vehicles.centre_m), road.edges_t, float(np.median(road.width_m))

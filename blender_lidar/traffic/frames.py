@@ -11,8 +11,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..statistics import FEWEST_BLOCKS
+from .boxes import Boxes
 from .cycle import FEWEST_CYCLES, LONG_S, signal_cycle_s
-from .vehicles import DIMENSIONS, Recording, RepairReport, Vehicles, counted, unknown_frame
+from .vehicles import DIMENSIONS, Recording, RepairReport, counted, unknown_frame
 
 # --- Which frames of a recording are fit to be analysed ---------------------------------------------------
 
@@ -54,7 +55,7 @@ def instants(recording: Recording) -> np.ndarray:
 
 # --- The choice of frames ---------------------------------------------------------------------------------------------
 
-Holds = Callable[[Vehicles | Recording], np.ndarray]
+Holds = Callable[[Boxes | Recording], np.ndarray]
 """Marks the boxes that score, (n,) bool: those inside the region."""
 
 NOTHING_HELD_OUT = "nothing is held out"  # how a note begins that says why
@@ -214,8 +215,8 @@ def _known_frames(recording: Recording, ids: Iterable[int]) -> np.ndarray:
 
 def _counted_rows(recording: Recording, frames: np.ndarray, holds: Holds) -> Recording:
     """The boxes that count in some frames, frame by frame."""
-    part = recording.where(np.isin(recording.frame, frames))
-    return part.where(holds(part))
+    part = recording.select(np.isin(recording.frame, frames))
+    return part.select(holds(part))
 
 
 def _transit_block_s(recording: Recording, candidates: _Frames, holds: Holds) -> float:
@@ -400,10 +401,8 @@ def joined_recordings(recordings: Sequence[Recording], names: Sequence[str]) -> 
     def column(name: str) -> np.ndarray:
         return np.concatenate([getattr(one, name) + at * step.get(name, 0) for at, one in enumerate(recordings)])
 
-    columns = ("frame", "vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane", "body")
     return Recording.from_rows(
-        **{name: column(name) for name in columns},
-        time_s=np.concatenate([np.repeat(one.frame_time_s, one.counts) for one in recordings]),
+        **{name: column(name) for name in recordings[0].columns()},
         time_step_s=recordings[0].time_step_s,
         source=" and ".join(one.source for one in recordings),
         report=_joined_reports([one.report for one in recordings], names),

@@ -142,7 +142,7 @@ def propose_layout(recording: Recording, *, follows_x: bool = False, kerb_lane: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Found:
-    """A layout, and the rows of `Samples.vehicle` that drive along it and come the other way."""
+    """A layout, and the rows of `Samples.vehicle_id` that drive along it and come the other way."""
 
     layout: RoadLayout
     along: np.ndarray
@@ -199,7 +199,7 @@ def _carriageway(everything: Samples, direction: float, follows_x: bool) -> _Fou
             return None
         place = place + unturned(found.station, 0.0, direction)
         half_m = found.half_m
-    others = np.unique(everything.vehicle[oncoming if both else oncoming[:0]])
+    others = np.unique(everything.vehicle_id[oncoming if both else oncoming[:0]])
     return _Found(_layout(found, lanes, place, direction, len(others)), found.vehicles, others)
 
 
@@ -208,15 +208,15 @@ def _lanes_near(
 ) -> tuple[float, Lanes | None]:
     """The direction in which lanes about a place are sharpest, and these lanes, across from the place."""
     near = near_place(everything, place, direction, half_m)
-    if len(near.xy) and turns:
+    if len(near) and turns:
         direction = sharpest(near, place, direction)
     v = turned(near.xy - place, direction)[1]
-    return direction, lanes_across(v, near.vehicle, near.speed, near.lane)
+    return direction, lanes_across(v, near.vehicle_id, near.speed, near.lane)
 
 
 def _lanes_of(everything: Samples, rows: np.ndarray, place: np.ndarray, direction: float) -> Lanes | None:
-    near = everything.where(rows).thinned()
-    return lanes_across(turned(near.xy - place, direction)[1], near.vehicle, near.speed, near.lane)
+    near = everything.select(rows).thinned()
+    return lanes_across(turned(near.xy - place, direction)[1], near.vehicle_id, near.speed, near.lane)
 
 
 def _oncoming(
@@ -229,7 +229,7 @@ def _oncoming(
     rows = np.flatnonzero(here & (everything.off(direction + math.pi) <= SAME_WAY_RAD) & (everything.speed > 0.0))
     rows = rows[np.argsort(beyond[rows], kind="stable")]
     groups = np.split(rows, 1 + np.flatnonzero(np.diff(beyond[rows]) > ONE_CARRIAGEWAY_M))
-    many = (group for group in groups if len(np.unique(everything.vehicle[group])) >= FEWEST_ON_A_ROAD)
+    many = (group for group in groups if len(np.unique(everything.vehicle_id[group])) >= FEWEST_ON_A_ROAD)
     return next(many, rows[:0])
 
 
@@ -253,7 +253,7 @@ def _traffic_side(samples: Samples, follows_x: bool, kerb_lane: bool) -> tuple[s
             rows = _oncoming(samples, place, direction, lanes, HALF_STRETCH_M, side)
             if len(rows):
                 edge = lanes.left_m if side == SIDES[1] else lanes.right_m
-                nearest[side] = float(np.abs(np.median(v[rows]) - edge)), len(np.unique(samples.vehicle[rows]))
+                nearest[side] = float(np.abs(np.median(v[rows]) - edge)), len(np.unique(samples.vehicle_id[rows]))
         if nearest:
             beside = min(nearest, key=nearest.get)
             by_oncoming += nearest[beside][1] * (1 if beside == SIDES[1] else -1)
@@ -327,7 +327,7 @@ def _station(everything: Samples, place: np.ndarray, direction: float, lanes: La
         notes.append(f"the road bends by {math.degrees(bend):.0f} deg within 50 m, and a scene's is straight")
     stretch = max(extent[0], chosen - half) - chosen, min(extent[1], chosen + half) - chosen
     coming = along & (u >= chosen + stretch[0]) & (u <= chosen + _BIN_M)  # not those that join beyond a crossing
-    vehicles = np.unique(everything.vehicle[coming])
+    vehicles = np.unique(everything.vehicle_id[coming])
     if len(vehicles) < FEWEST_ON_A_ROAD:
         return None
     if len(vehicles) < _MANY_VEHICLES * max(lanes.count, 2):
@@ -348,10 +348,13 @@ def _bend(everything: Samples, here: np.ndarray) -> float:
     It is the angle between two chords of 25 m along each vehicle's own way, before and after the pole or, where tracks
     end there, as near to it as they go: no bend is too sharp to be seen.
     """
-    here = here[np.unique(everything.vehicle[here], return_index=True)[1]]
-    same = np.diff(everything.vehicle) == 0
+    vehicle = everything.vehicle_id
+    here = here[np.unique(vehicle[here], return_index=True)[1]]
+    same = np.diff(vehicle) == 0
     way = np.append(0.0, np.cumsum(np.where(same, np.hypot(*np.diff(everything.xy, axis=0).T), 0.0)))
-    first, end = (np.searchsorted(everything.vehicle, everything.vehicle[here], side) for side in ("left", "right"))
+    first, end = (
+        np.searchsorted(everything.vehicle_id, everything.vehicle_id[here], side) for side in ("left", "right")
+    )
     middle = np.maximum(np.minimum(way[here], way[end - 1] - _CHORD_M), way[first] + _CHORD_M)
     rows = [np.clip(np.searchsorted(way, middle + shift - 0.1), first, end - 1) for shift in (-_CHORD_M, 0.0, _CHORD_M)]
     lengths = np.diff(way[rows], axis=0)
@@ -367,7 +370,7 @@ def _clear(everything: Samples, u, v, direction: float, line: float, edges: np.n
     """Bins along the road in which no vehicle ever comes near a pole at `line` across it, (b,) bool."""
     off = np.nan_to_num(everything.off(direction), nan=0.5 * np.pi)
     cos, sin = np.abs(np.cos(off)), np.sin(off)
-    length, width = 0.5 * everything.size.T
+    length, width = 0.5 * everything.size_m[:, :2].T
     near = np.abs(v - line) <= length * sin + width * cos + _CLEAR_M
     reach = (length * cos + width * sin)[near] + _CLEAR_M + 0.5 * _BIN_M  # a pole may stand anywhere in its bin
     blocked = np.zeros(len(edges) + 1)

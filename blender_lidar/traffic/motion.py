@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..errors import InputError
 from ..road.road_map import wrap_angle
+from .boxes import Boxes
 from .tracks import central_velocity, held_heading
 from .vehicles import Recording
 
@@ -17,59 +18,45 @@ _MOST_SAMPLES = 200_000
 _MOST_BINS = 2000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Samples:
-    """The rows of a recording with their motion, by vehicle and time.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Samples(Boxes):
+    """The boxes of a recording with their motion, by vehicle, counted from 0, and time.
+
+    `heading_rad` is that of the motion, held where a vehicle stands; NaN of one that never moves.
 
     Attributes
     ----------
-    vehicle, lane : ndarray, (n,)
-        Whose row it is, counted from 0, and the recording's lane; 0 where it names none.
-    xy, size : ndarray, (n, 2)
-        Place, and length and width [m].
-    heading, speed : ndarray, (n,)
-        Of the motion [rad, m/s]; a vehicle that never moves has the heading NaN.
+    speed : ndarray, (n,)
+        [m/s].
     """
 
-    vehicle: np.ndarray
-    xy: np.ndarray
-    heading: np.ndarray
     speed: np.ndarray
-    size: np.ndarray
-    lane: np.ndarray
 
     @classmethod
     def of(cls, recording: Recording) -> Samples:
-        """Motion by central differences over about two seconds; where a vehicle stands its heading is held."""
-        order = np.lexsort((recording.frame, recording.vehicle_id))
-        vehicle = np.unique(recording.vehicle_id[order], return_inverse=True)[1].reshape(-1)
-        time_s = recording.frame_time_s[np.searchsorted(recording.frames, recording.frame[order])]
-        time_s = time_s - time_s.min()
-        xy = recording.centre_m[order, :2]
+        """Motion by central differences over about two seconds."""
+        rows = recording.select(np.lexsort((recording.frame, recording.vehicle_id)))
+        vehicle = np.unique(rows.vehicle_id, return_inverse=True)[1].reshape(-1)
         if (np.diff(vehicle) > 0).all():
             raise InputError(f"{recording.source}: no road can be proposed: no vehicle is in more than one frame")
-        velocity = central_velocity(vehicle, time_s, xy)
+        velocity = central_velocity(vehicle, rows.time_s - rows.time_s.min(), rows.xy)
         heading, held = held_heading(vehicle, velocity, np.nan)
         if np.isnan(heading).all():
             raise InputError(f"{recording.source}: no road can be proposed: every vehicle stands")
-        speed = np.where(held, 0.0, np.hypot(*velocity.T))
-        return cls(vehicle, xy, heading, speed, recording.size_m[order, :2], recording.lane[order])
+        columns = rows.columns() | {"vehicle_id": vehicle, "heading_rad": heading}
+        return cls(**columns, speed=np.where(held, 0.0, np.hypot(*velocity.T)))
 
     def mirrored(self) -> Samples:
         """The same with y to the right of x."""
-        return replace(self, xy=self.xy * (1.0, -1.0), heading=-self.heading)
-
-    def where(self, which: np.ndarray | slice) -> Samples:
-        """Some of the rows."""
-        return Samples(*(getattr(self, field.name)[which] for field in fields(self)))
+        return replace(self, centre_m=self.centre_m * (1.0, -1.0, 1.0), heading_rad=-self.heading_rad)
 
     def thinned(self) -> Samples:
         """At most `_MOST_SAMPLES` of them."""
-        return self.where(slice(None, None, max(1, -(-len(self.xy) // _MOST_SAMPLES))))
+        return self.select(slice(None, None, max(1, -(-len(self) // _MOST_SAMPLES))))
 
     def off(self, direction: float) -> np.ndarray:
         """Angle between each heading and a direction, (n,) [rad], without sign; NaN where there is no heading."""
-        return np.abs(wrap_angle(self.heading - direction))
+        return np.abs(wrap_angle(self.heading_rad - direction))
 
 
 # --- Directions -------------------------------------------------------------------------------------------------------
@@ -93,7 +80,7 @@ def directions(samples: Samples, follows_x: bool) -> list[float]:
         return [0.0]
     moving = samples.speed > 0.0
     weight = np.histogram(
-        np.degrees(samples.heading[moving]) % 360.0, 360, (0.0, 360.0), weights=samples.speed[moving]
+        np.degrees(samples.heading_rad[moving]) % 360.0, 360, (0.0, 360.0), weights=samples.speed[moving]
     )[0]
     kernel = np.exp(-0.5 * (np.arange(-12, 13) / 4.0) ** 2)
     smooth = np.convolve(np.concatenate([weight[-12:], weight, weight[:12]]), kernel / kernel.sum(), "valid")
@@ -125,8 +112,8 @@ def sharpest(near: Samples, place: np.ndarray, direction: float) -> float:
 
 def busiest_place(everything: Samples, direction: float) -> np.ndarray:
     """Where most drive in about a direction, (2,) [m]."""
-    along = everything.where(everything.off(direction) <= SAME_WAY_RAD).thinned()
-    if not len(along.xy):
+    along = everything.select(everything.off(direction) <= SAME_WAY_RAD).thinned()
+    if not len(along):
         return np.full(2, np.nan)
     middle = along.xy.mean(axis=0)
     u, v = turned(along.xy - middle, direction)
@@ -163,4 +150,4 @@ def near_place(everything: Samples, place: np.ndarray, direction: float, half_m:
     """Those that drive along the stretch about a place; a longer one where the file follows the road's bends."""
     u, v = turned(everything.xy - place, direction)
     here = (np.abs(u) <= half_m) & (np.abs(v) <= 25.0) & (everything.off(direction) <= SAME_WAY_RAD)
-    return everything.where(here & (everything.speed > 0.0)).thinned()
+    return everything.select(here & (everything.speed > 0.0)).thinned()

@@ -4,40 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
 from ..road.approaches import approaches_to, comes_from, ends_of, exits_of, movement
-from ..road.road_map import Located, RoadMap, wrap_angle
-from .vehicles import Recording, Vehicles
+from ..road.road_map import RoadMap, wrap_angle
+from .boxes import WAY_COLUMNS, Boxes
+from .vehicles import Recording
 
 _STEP_S = 0.5  # between the places by which a vehicle's way is known
 _BEYOND_M = 15.0  # past the nearest place to the middle: it has crossed
 _UNKNOWN = ""
 
 
-class Ways(NamedTuple):
-    """How vehicles cross a junction.
+Ways = dict[int, tuple[str, str, str]]
+"""Of vehicles the road that each comes from and the one that it leaves by, and straight, left, right or u-turn; nothing
+where it is not known."""
 
-    Attributes
-    ----------
-    vehicle_id : ndarray of int, (k,)
-        Ascending.
-    approach, exit, movement : ndarray of str, (k,)
-        The road that each comes from and the one that it leaves by, and straight, left, right or u-turn; nothing where
-        it is not known.
-    """
 
-    vehicle_id: np.ndarray
-    approach: np.ndarray
-    exit: np.ndarray
-    movement: np.ndarray
-
-    def of(self, vehicles: Vehicles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Approach, exit and movement of each vehicle of a frame, (n,) str each."""
-        at = np.searchsorted(self.vehicle_id, vehicles.vehicle_id)
-        return self.approach[at], self.exit[at], self.movement[at]
+def with_ways(boxes: Boxes, ways: Ways, road: RoadMap) -> Boxes:
+    """The boxes with approach, exit and movement of their vehicles, and the map's name of the lane that each is in."""
+    columns = np.array([ways.get(number, (_UNKNOWN,) * 3) for number in boxes.vehicle_id.tolist()], dtype=str)
+    names = np.array([*(lane.name for lane in road.lanes), _UNKNOWN])
+    lane = names[road.locate(boxes.centre_m, boxes.heading_rad).lane]
+    return replace(boxes, **dict(zip(WAY_COLUMNS, (*columns.reshape(-1, 3).T, lane), strict=True)))
 
 
 def ways_by_map(recording: Recording, road: RoadMap, junctions: Sequence[str]) -> Ways:
@@ -65,7 +56,7 @@ def ways_by_map(recording: Recording, road: RoadMap, junctions: Sequence[str]) -
         if came and left:
             turn = movement(ends_of(road, left)[0] - ends_of(road, came)[1])
         found[vehicle] = came, left, turn
-    return _ways(recording, found)
+    return found
 
 
 def _leaves(road: RoadMap, row: int, came: str, inner: set[str]) -> bool:
@@ -88,7 +79,7 @@ def ways_by_track(recording: Recording, middle_xy: tuple[float, float]) -> Ways:
         crossed = away[rows][-1] - away[rows][nearest] >= _BEYOND_M and nearest > 0
         came, left = comes_from(heading[0]), comes_from(heading[-1] + math.pi)
         found[vehicle] = (came, left, movement(turned)) if crossed else (came, _UNKNOWN, _UNKNOWN)
-    return _ways(recording, found)
+    return found
 
 
 def _thinned(recording: Recording) -> Recording:
@@ -97,7 +88,7 @@ def _thinned(recording: Recording) -> Recording:
     for at, time_s in enumerate(recording.frame_time_s.tolist()):
         if time_s >= last + _STEP_S - 1e-6 or time_s < last:  # a later recording begins again
             kept[at], last = True, time_s
-    return recording.where(kept[np.searchsorted(recording.frames, recording.frame)])
+    return recording.select(kept[np.searchsorted(recording.frames, recording.frame)])
 
 
 def _tracks(recording: Recording):
@@ -105,15 +96,3 @@ def _tracks(recording: Recording):
     order = np.lexsort((recording.frame, recording.vehicle_id))
     vehicle, first = np.unique(recording.vehicle_id[order], return_index=True)
     yield from zip(vehicle.tolist(), np.split(order, first[1:]), strict=True)
-
-
-def _ways(recording: Recording, found: dict[int, tuple[str, str, str]]) -> Ways:
-    vehicles = np.unique(recording.vehicle_id)
-    rows = [found.get(vehicle, (_UNKNOWN,) * 3) for vehicle in vehicles.tolist()]
-    return Ways(vehicles, *(np.array(column, dtype=str) for column in zip(*rows, strict=True)))
-
-
-def lane_names(road: RoadMap, located: Located) -> np.ndarray:
-    """The map's name of the lane at each place, (n,) str; nothing off the lanes."""
-    names = np.array([*(lane.name for lane in road.lanes), _UNKNOWN])
-    return names[located.lane]

@@ -129,7 +129,6 @@ def propose_site(
         raise InputError(
             f"{recording.source}: no room for a pole off the lanes within {radius:.0f} m of the site's middle"
         )
-    rows = np.searchsorted(ways.vehicle_id, recording.vehicle_id)
     return SiteLayout(
         settings=settings,
         road=road,
@@ -140,7 +139,7 @@ def propose_site(
         poles=poles,
         vehicles=len(np.unique(recording.vehicle_id[inside])),
         approaches=tuple(approaches_to(road, [moved.name])) if moved is not None else (),
-        movement=ways.movement[rows],
+        movement=np.array([ways.get(number, ("", "", ""))[2] for number in recording.vehicle_id.tolist()]),
         notes=tuple(notes),
     )
 
@@ -161,7 +160,7 @@ def _moved(recording: Recording, origin: np.ndarray) -> Recording:
 def _thinned(recording: Recording) -> Recording:
     """At most 200,000 boxes of it."""
     step = max(1, len(recording) // _MOST_PLACES)
-    return recording.where(np.arange(len(recording)) % step == 0)
+    return recording.select(np.arange(len(recording)) % step == 0)
 
 
 def _check_together(recording: Recording, road: RoadMap, settings: MappedRoad) -> None:
@@ -270,8 +269,8 @@ def _meeting_place(recording: Recording) -> np.ndarray | None:
         samples = Samples.of(recording)
     except InputError:
         return None
-    samples = samples.where(samples.speed > 0.0).thinned()
-    double = np.exp(2j * samples.heading)
+    samples = samples.select(samples.speed > 0.0).thinned()
+    double = np.exp(2j * samples.heading_rad)
     cells, row = np.unique(np.floor(samples.xy / _CELL_M).astype(int), axis=0, return_inverse=True)
     row = row.reshape(-1)
     weight = np.bincount(row, samples.speed)

@@ -205,16 +205,7 @@ def write_table(path: str | Path, recording: Recording) -> None:
     OutputError
         When it cannot be written.
     """
-    columns = {
-        "frame": recording.frame,
-        "time_s": recording.frame_time_s[np.searchsorted(recording.frames, recording.frame)],
-        "vehicle_id": recording.vehicle_id,
-        "class": np.array(CLASSES)[recording.class_index],
-        **dict(zip(("x_m", "y_m", "z_m"), recording.centre_m.T, strict=True)),
-        **dict(zip(_LENGTHS, recording.size_m.T, strict=True)),
-        "heading_deg": np.degrees(recording.heading_rad),
-        "lane": recording.lane,
-    }
+    columns = recording.table() | {"time_s": recording.time_s, "lane": recording.lane}
     told = {name: getattr(recording.report, name) for name in _TOLD}
     write_columns(path, columns, head=f"{_REPORT}{json.dumps(told)}\n")
 

@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import InputError, printable
 from ..names import CLASSES
 from ..road.road_map import wrap_angle
+from .boxes import DTYPES, Boxes
 
 # --- What reading a recording found and repaired ----------------------------------------------------------
 
@@ -156,92 +157,13 @@ SAME_S = 1e-3
 _LONGEST_S = 1.0  # from one instant to the next, in between which vehicles are taken to move evenly
 _PAUSE_S = 5.0  # before a recording that begins earlier than the one before it has ended
 
-_COLUMNS = {
-    "vehicle_id": np.int64,
-    "class_index": np.int8,
-    "centre_m": np.float64,
-    "size_m": np.float64,
-    "heading_rad": np.float64,
-    "lane": np.int16,
-    "body": np.int8,
-}
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Vehicles:
-    """The vehicles of one frame.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Recording(Boxes):
+    """A whole recording: its boxes sorted by (frame, vehicle_id), with `frame` and `time_s` as columns. All read-only.
 
     Attributes
     ----------
-    frame : int
-        Frame number, as the recording counts them.
-    time_s : float
-        Time of the frame [s], from the recording's own zero.
-    vehicle_id : ndarray, (n,) int64
-    class_index : ndarray, (n,) int8
-        Index into `CLASSES`.
-    centre_m : ndarray, (n, 3) float64
-        Box centres [m, road frame].
-    size_m : ndarray, (n, 3) float64
-        Length, width and height [m].
-    heading_rad : ndarray, (n,) float64
-        Counter-clockwise from +x [rad].
-    lane : ndarray, (n,) int16
-        Lane number of the source; 0 where unknown.
-    body : ndarray, (n,) int8, or None
-        Which of `fleet.BODIES` each has, from 1 on; 0: the usual one of its class and length, None: all have that.
-    since_ms : int
-        Whole milliseconds since the instant before; 0 at one.
-    """
-
-    frame: int
-    time_s: float
-    vehicle_id: np.ndarray
-    class_index: np.ndarray
-    centre_m: np.ndarray
-    size_m: np.ndarray
-    heading_rad: np.ndarray
-    lane: np.ndarray
-    body: np.ndarray | None = None
-    since_ms: int = 0
-
-    def __len__(self) -> int:
-        return len(self.vehicle_id)
-
-    @property
-    def draw(self) -> int:
-        """What imperfections draw by: `frame` at an instant, another number for each moment between two."""
-        return self.frame + (self.since_ms << 32)
-
-    @property
-    def class_name(self) -> np.ndarray:
-        """Class names, (n,) str."""
-        return np.array(CLASSES)[self.class_index]
-
-    def select(self, which: np.ndarray) -> Vehicles:
-        """The same frame with the vehicles that `which`, a (n,) mask or an index array, picks."""
-        columns = ((name, getattr(self, name)) for name in _COLUMNS)
-        return replace(self, **{name: column[which] for name, column in columns if column is not None})
-
-
-def no_vehicles(frame: int, time_s: float) -> Vehicles:
-    """A frame without vehicles."""
-    columns = {name: np.empty((0, 3) if name in ("centre_m", "size_m") else 0, kind) for name, kind in _COLUMNS.items()}
-    return Vehicles(frame, time_s, **columns)
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """A whole recording: one row per vehicle and frame, sorted by (frame, vehicle_id). Its arrays are read-only.
-
-    Attributes
-    ----------
-    frame : ndarray, (n,) int64
-        Frame number of every row; the other columns are those of `Vehicles`.
-    frames : ndarray, (k,) int64
-        The distinct frame numbers, ascending.
-    frame_time_s : ndarray, (k,) float64
-        Their times [s].
     time_step_s : float
         Time between consecutive frame numbers [s].
     source : str
@@ -250,44 +172,26 @@ class Recording:
         What reading it repaired.
     """
 
-    frame: np.ndarray
-    vehicle_id: np.ndarray
-    class_index: np.ndarray
-    centre_m: np.ndarray
-    size_m: np.ndarray
-    heading_rad: np.ndarray
-    lane: np.ndarray
-    body: np.ndarray
-    frames: np.ndarray
-    frame_time_s: np.ndarray
     time_step_s: float
     source: str
     report: RepairReport
+
+    def __post_init__(self) -> None:
+        for column in self.columns().values():
+            column.flags.writeable = False
 
     @classmethod
     def from_rows(
         cls, *, frame: np.ndarray, time_s: np.ndarray, time_step_s: float, source: str, report: RepairReport, **columns
     ) -> Recording:
-        """Build one from rows in any order; `time_s` is every row's time [s], `columns` are those of `Vehicles`."""
+        """Build one from rows in any order; `time_s` is every row's time [s], `columns` are those of `Boxes`."""
         order = np.lexsort((columns["vehicle_id"], frame))
-        frame = np.asarray(frame, dtype=np.int64)[order]
         columns.setdefault("body", np.zeros(len(frame)))
-        frames, first = np.unique(frame, return_index=True)
-        arrays = {name: np.asarray(columns[name], dtype=kind)[order] for name, kind in _COLUMNS.items()}
-        arrays |= {"frame": frame, "frames": frames, "frame_time_s": np.asarray(time_s, np.float64)[order[first]]}
-        for array in arrays.values():
-            array.flags.writeable = False
+        arrays = {name: np.asarray(columns[name], dtype=kind)[order] for name, kind in DTYPES.items()}
+        frame = np.asarray(frame, dtype=np.int64)[order]
+        first, row = np.unique(frame, return_index=True, return_inverse=True)[1:]
+        arrays |= {"frame": frame, "time_s": np.asarray(time_s, np.float64)[order[first]][row.reshape(-1)]}
         return cls(**arrays, time_step_s=float(time_step_s), source=source, report=report)
-
-    def where(self, which: np.ndarray) -> Recording:
-        """The same recording with the rows that `which`, a (n,) mask, picks; frames left without one disappear."""
-        return Recording.from_rows(
-            **{name: getattr(self, name)[which] for name in ("frame", *_COLUMNS)},
-            time_s=self.frame_time_s[np.searchsorted(self.frames, self.frame[which])],
-            time_step_s=self.time_step_s,
-            source=self.source,
-            report=self.report,
-        )
 
     @cached_property
     def vehicles_alone(self) -> Recording:
@@ -298,31 +202,31 @@ class Recording:
         walking, report = len(np.unique(self.vehicle_id[~driven])), self.report
         said = f"Pedestrians: {walking:,} left out; [objective] classes that name pedestrian score them"
         rows = {"rows_used": int(driven.sum()), "left_out": report.left_out + int((~driven).sum())}
-        alone = self.where(driven)
-        return replace(alone, report=replace(report, **rows, assumed=(*report.assumed, said)))
-
-    def with_columns(self, **columns: np.ndarray) -> Recording:
-        """The same recording with other values in some of the columns of `Vehicles`."""
-        for array in columns.values():
-            array.flags.writeable = False
-        return replace(self, **columns)
-
-    def __len__(self) -> int:
-        """Rows: boxes over all frames."""
-        return len(self.frame)
+        return replace(self.select(driven), report=replace(report, **rows, assumed=(*report.assumed, said)))
 
     @cached_property
     def _bounds(self) -> np.ndarray:
         """Row at which each frame starts, and the number of rows at the end: (k + 1,) int64."""
-        return np.append(np.searchsorted(self.frame, self.frames), len(self.frame))
+        starts = np.diff(self.frame, prepend=self.frame[:1] - 1, append=self.frame[-1:] + 1)
+        return np.flatnonzero(starts)
+
+    @cached_property
+    def frames(self) -> np.ndarray:
+        """The distinct frame numbers, ascending, (k,) int64."""
+        return self.frame[self._bounds[:-1]]
+
+    @cached_property
+    def frame_time_s(self) -> np.ndarray:
+        """Times of `frames`, (k,) [s]."""
+        return self.time_s[self._bounds[:-1]]
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """Vehicles in each of `frames`, (k,) int64."""
+        """Boxes in each of `frames`, (k,) int64."""
         return np.diff(self._bounds)
 
-    def vehicles(self, frame: int) -> Vehicles:
-        """The vehicles of one frame, as views into the recording.
+    def at(self, frame: int) -> Boxes:
+        """The boxes of one frame, as views into the recording.
 
         Raises
         ------
@@ -332,9 +236,12 @@ class Recording:
         at = int(np.searchsorted(self.frames, frame))
         if at == len(self.frames) or self.frames[at] != frame:
             raise unknown_frame(frame, self)
-        rows = slice(self._bounds[at], self._bounds[at + 1])
-        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
-        return Vehicles(frame=int(frame), time_s=float(self.frame_time_s[at]), **columns)
+        return self._of_frame(at, slice(self._bounds[at], self._bounds[at + 1]))
+
+    def _of_frame(self, at: int, rows: slice | np.ndarray) -> Boxes:
+        """Some rows as those of one of `frames`."""
+        columns = {name: column[rows] for name, column in self.columns().items()}
+        return Boxes(**columns | {"frame": int(self.frames[at]), "time_s": float(self.frame_time_s[at])})
 
     @cached_property
     def since_s(self) -> np.ndarray:
@@ -356,7 +263,7 @@ class Recording:
         found[order[:-1][goes_on]] = order[1:][goes_on]
         return found
 
-    def moment(self, since_s: float) -> Vehicles:
+    def moment(self, since_s: float) -> Boxes:
         """The vehicles at any time on the clock of `since_s`, between two instants by linear interpolation.
 
         Within `SAME_S` of an instant these are its rows as they were recorded. Between two that are at most 1 s apart
@@ -369,24 +276,27 @@ class Recording:
 
         Returns
         -------
-        Vehicles
+        Boxes
             `frame` is the number of the nearest instant, `time_s` the moment's own time.
         """
         clock = self.since_s
         at = max(int(np.searchsorted(clock, since_s + SAME_S, side="right")) - 1, 0)
         near = at + int(at + 1 < len(clock) and clock[at + 1] - since_s < since_s - clock[at])
-        nearest = self.vehicles(self.frames[near])
+        nearest = self.at(self.frames[near])
         if abs(since_s - clock[near]) <= SAME_S:
             return nearest
         rows = np.arange(self._bounds[at], self._bounds[at + 1])
         rows = rows[(self.next_row[rows] >= 0) & (since_s > clock[at])]
         after, passed = self.next_row[rows], (since_s - clock[at]) / max(np.diff(clock[at : at + 2]).sum(), SAME_S)
-        columns = {name: getattr(self, name)[rows] for name in _COLUMNS}
-        columns["centre_m"] += passed * (self.centre_m[after] - columns["centre_m"])
-        turn = wrap_angle(self.heading_rad[after] - columns["heading_rad"])
-        columns["heading_rad"] = wrap_angle(columns["heading_rad"] + passed * turn)
-        time_s, since_ms = nearest.time_s + since_s - float(clock[near]), round(1e3 * (since_s - float(clock[at])))
-        return Vehicles(frame=nearest.frame, time_s=time_s, since_ms=since_ms, **columns)
+        before = self._of_frame(near, rows)
+        turn = wrap_angle(self.heading_rad[after] - before.heading_rad)
+        return replace(
+            before,
+            time_s=nearest.time_s + since_s - float(clock[near]),
+            since_ms=round(1e3 * (since_s - float(clock[at]))),
+            centre_m=before.centre_m + passed * (self.centre_m[after] - before.centre_m),
+            heading_rad=wrap_angle(before.heading_rad + passed * turn),
+        )
 
 
 def unknown_frame(frame: int, recording: Recording) -> InputError:
@@ -453,7 +363,7 @@ _FRAMES_LOOKED_AT = 60
 _TOUCHING_M = 0.02
 
 
-def overlapping_pairs(vehicles: Vehicles) -> np.ndarray:
+def overlapping_pairs(vehicles: Boxes) -> np.ndarray:
     """Pairs of vehicles whose oriented boxes overlap, seen from above: sweep and prune, then separating axes.
 
     Boxes that touch, as those of a tractor and its trailer, do not overlap: 2 cm of overlap are within the digits that
@@ -461,7 +371,7 @@ def overlapping_pairs(vehicles: Vehicles) -> np.ndarray:
 
     Parameters
     ----------
-    vehicles : Vehicles
+    vehicles : Boxes
         One frame.
 
     Returns
@@ -539,5 +449,5 @@ def with_overlaps_reported(recording: Recording) -> Recording:
     """The same recording, its report telling the overlaps of vehicles in up to 60 frames spread evenly over it."""
     vehicles = recording.vehicles_alone
     looked_at = frames_looked_at(vehicles)
-    pairs = sum(len(overlapping_pairs(vehicles.vehicles(frame))) for frame in looked_at)
+    pairs = sum(len(overlapping_pairs(vehicles.at(frame))) for frame in looked_at)
     return replace(recording, report=replace(recording.report, overlaps=pairs, overlap_frames=len(looked_at)))

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
+from ..traffic.boxes import Boxes
 from ..traffic.fleet import BODIES, FLEET
-from ..traffic.vehicles import FLEET_KINDS, Vehicles, fleet_kind
+from ..traffic.vehicles import FLEET_KINDS, fleet_kind
 from .shapes import shape
 
 STATIC = -1  # owner of what belongs to no vehicle
@@ -37,7 +38,7 @@ class Triangles:
         return len(self.corners)
 
 
-def vehicle_triangles(vehicles: Vehicles, detail: str = "body", own: np.ndarray | None = None) -> Triangles:
+def vehicle_triangles(vehicles: Boxes, detail: str = "body", own: np.ndarray | None = None) -> Triangles:
     """Every vehicle of a frame as triangles at the level of detail `detail` of `names.DETAILS`.
 
     Those that are `own`, (n,) bool, are left out: they have a mesh of the user's.
@@ -74,7 +75,7 @@ def _check_boxes(vehicles):
     raise InputError(f"{who}: its size is {vehicles.size_m[row].tolist()} m; allowed: lengths above 0 m")
 
 
-def shape_names(vehicles: Vehicles) -> np.ndarray:
+def shape_names(vehicles: Boxes) -> np.ndarray:
     """Name of the shape of each vehicle, (n,) str."""
     kind = fleet_kind(vehicles.class_index, vehicles.size_m[:, 0])
     usual = np.array([FLEET[name][0].name for name in FLEET_KINDS])[kind]

@@ -35,7 +35,7 @@ from blender_lidar.sensors.imperfections import PERFECT, Imperfections
 from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic import plan_frames
-from blender_lidar.traffic.vehicles import Vehicles
+from blender_lidar.traffic.boxes import Boxes
 from blender_lidar.world.scenery import barrier
 from blender_lidar.world.triangles import vehicle_triangles
 
@@ -140,8 +140,7 @@ class FrameCase:
     """A frame's vehicles, which of them are scored, and the mounting that sees them: beams, place, range gate [m],
     level of detail, side of an occupancy cell [m], imperfections."""
 
-    vehicles: Vehicles
-    counted: np.ndarray
+    vehicles: Boxes
     lattice: BeamLattice
     pose: Pose
     gate_m: float
@@ -162,7 +161,7 @@ class FrameCase:
     @cached_property
     def pieces(self):
         """The counted vehicles, cut for culling."""
-        return cut_vehicles(self.vehicles.select(self.counted), self.detail)
+        return cut_vehicles(self.vehicles.select(self.vehicles.counted), self.detail)
 
     @cached_property
     def survivors(self) -> np.ndarray:
@@ -181,7 +180,7 @@ class FrameCase:
         """The frame, made ready for a caster and so many equal LiDARs; `changed` are attributes of `Observation`."""
         lidar = Lidar(self.lattice, self.gate_m, imperfections=changed.pop("imperfections", self.imperfections))
         observation = Observation((lidar,) * lidars, caster, self.detail, self.cell_m, **changed)
-        return FrameScorer(self.vehicles, self.counted, observation)
+        return FrameScorer(self.vehicles, observation)
 
 
 def cases_of(scenario: Scenario, frames: int) -> list[FrameCase]:
@@ -192,15 +191,16 @@ def cases_of(scenario: Scenario, frames: int) -> list[FrameCase]:
     pose = scenario.mounting({"height_m": height, "tilt_x_deg": tilt}).pose
     seen = (lattice_of(scenario.sensor), pose, gate, scenario.world.detail, scenario.objective.cell_m)
     chosen = plan_frames(recording, region.holds, count=frames).search.tolist()
-    vehicles = (recording.vehicles(frame) for frame in chosen)
-    return [FrameCase(each, region.holds(each), *seen, scenario.sensor.imperfections) for each in vehicles]
+    every = (recording.at(frame) for frame in chosen)
+    frames = [replace(frame, counted=region.holds(frame)) for frame in every]
+    return [FrameCase(frame, *seen, scenario.sensor.imperfections) for frame in frames]
 
 
 def summary_of(cases: Sequence[FrameCase]) -> dict[str, object]:
     """What is timed, as JSON holds it: least, median and most of the frames."""
     rows = {
         "vehicles": [len(case.vehicles) for case in cases],
-        "vehicles_counted": [int(case.counted.sum()) for case in cases],
+        "vehicles_counted": [int(case.vehicles.counted.sum()) for case in cases],
         "triangles": [len(case.triangles) for case in cases],
         "survivors": [len(case.survivors) for case in cases],
     }

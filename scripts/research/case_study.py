@@ -18,7 +18,6 @@ from blender_lidar.metrics.catalogue import PE_VGOP
 from blender_lidar.optimise import DePso
 from blender_lidar.run.verdict import AXES
 from blender_lidar.scene.mounting import Layout
-from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.scene.provenance import file_digest
 from blender_lidar.scene.region import Region
 from blender_lidar.scene.scenario import Scenario, load_scenario
@@ -244,7 +243,7 @@ def _within(site: Site, radius_m: float) -> Site:
     """The site with only the vehicles within a radius counted; the others hide them as before."""
     region = Region(site.region.centre_xy, radius_m)
     search, holdout = (
-        tuple(CountedFrame(frame.vehicles, frame.counted & region.holds(frame.vehicles)) for frame in frames)
+        tuple(replace(frame, counted=frame.counted & region.holds(frame)) for frame in frames)
         for frames in (site.search, site.holdout)
     )
     return replace(site, search=search, holdout=holdout)

@@ -30,7 +30,7 @@ def measure(site: Site, layout: Layout) -> Measured:
     """
     table = vehicle_table(layout, judged=Evaluator(site.holdout, site.observation, site.scoring))
     score = vehicle_score(table["entropy_bits"], table["detectable"], site.scoring.loss, site.scoring.reading)
-    number = {frame.vehicles.frame: of for frame, of in zip(site.holdout, site.plan.holdout_block, strict=True)}
+    number = {frame.frame: of for frame, of in zip(site.holdout, site.plan.holdout_block, strict=True)}
     return {
         "detectable": table["detectable"].astype(float),
         "entropy_bits": table["entropy_bits"],

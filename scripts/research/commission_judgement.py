@@ -91,7 +91,7 @@ def cloud_of(name: str, seed: int) -> tuple[np.ndarray, Mounting, float]:
     drawn = {"height_m": (2.5, 6.0), "tilt_x_deg": (0.0, 22.0), "tilt_y_deg": (-3.0, 3.0), "yaw_deg": (-6.0, 6.0)}
     table = {key: float(rng.uniform(*limits)) for key, limits in drawn.items()}
     mounting = mounting_from(table, scenario.road_map, scenario.baselines[0])
-    vehicles = site.search[seed % len(site.search)].vehicles
+    vehicles = site.search[seed % len(site.search)]
     if rng.random() < 0.2:  # of a fifth the traffic keeps to one side
         vehicles = vehicles.select(np.argsort(vehicles.centre_m[:, 1])[: rng.integers(0, 10)])
     cloud, error = sensor_at(site, mounting).scan(vehicles), float(rng.normal(0.0, _RANGE_ERROR_M))

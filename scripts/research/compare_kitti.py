@@ -263,9 +263,9 @@ def cars_of(folder: Path, name: str, clearance_m: float) -> tuple[VehicleReturns
     sight = np.arctan2(boxes.centre_m[:, 1], boxes.centre_m[:, 0])
     return returns, {
         "frame": np.full(len(boxes), name),
-        "label_line": boxes.number,
+        "label_line": boxes.vehicle_id,
         "distance_m": distance_m,
-        "occlusion": np.array([float(label[line].split()[2]) for line in boxes.number.tolist()]),
+        "occlusion": np.array([float(label[line].split()[2]) for line in boxes.vehicle_id.tolist()]),
         "bearing_deg": np.degrees(np.arccos(np.clip(np.abs(np.cos(boxes.heading_rad - sight)), 0.0, 1.0))),
     }
 

@@ -158,7 +158,7 @@ def _speed(args) -> None:
     for sensor in CHOSEN:
         site = _site(args, sensor, hard_world())
         mount = _mounts(site, sensor)["given"]
-        detector, cloud = detector_at(site, mount, DETECTORS[0]), sensor_at(site, mount).scan(site.search[0].vehicles)
+        detector, cloud = detector_at(site, mount, DETECTORS[0]), sensor_at(site, mount).scan(site.search[0])
         seconds = [timeit(partial(detector.detect, cloud), number=1) for _ in range(10)]
         print(f"{sensor}: {1e3 * median(seconds):.0f} ms for a cloud of {len(cloud):,} points", flush=True)
 

@@ -85,7 +85,7 @@ def write_two_way(path: Path, recordings: tuple[str, str], median_m: float) -> N
         options = {place: (value, place[1]) for place, value in (given | {("traffic", "path"): recording}).items()}
         whole = read_recording(load_scenario(SCENES / "i80.toml", options))
         kept = np.isin(whole.frame, instants(whole)) & (whole.lane <= TWO_WAY_LANES)
-        part = whole.where(kept)
+        part = whole.select(kept)
         turn = np.array([1.0, 1.0, 1.0] if number == 0 else [-1.0, -1.0, 1.0])
         centre = part.centre_m * turn + [0.0, far * number, 0.0]
         heading = np.degrees(part.heading_rad) + 180.0 * number

@@ -138,7 +138,7 @@ def _points(path: Path, folder: Path, cases: Sequence[Case]) -> None:
             fits = [one for one in rows if of("class", one) == name and near <= of("distance_m", one) < far]
             best = min(fits, key=lambda one: (of("sure", one), -of("real_points", one)))
             paired, boxes = best[0].paired, clouds[best[0].number].boxes
-            box = int(np.flatnonzero(boxes.number == int(of("vehicle_id", best)))[0])
+            box = int(np.flatnonzero(boxes.vehicle_id == int(of("vehicle_id", best)))[0])
             distance, hit = paired.returned(best[0].seen[DETAIL], Imperfections(range_at_10_percent_m=V2R_M))
             for axes, away, which in zip(panels, (paired.rays.range_m, distance), (paired.real, hit), strict=True):
                 mine = which & ~paired.hidden & (paired.box == box)

@@ -82,7 +82,11 @@ def kitti_frame(folder: Path, name: str) -> tuple[RecordedFrame, np.ndarray]:
     rotation, shift = to_camera[:, :3], to_camera[:, 3]
     ahead = np.column_stack([np.cos(turn), np.zeros_like(turn), -np.sin(turn)]) @ rotation  # the inverse, transposed
     boxes = LabelledBoxes(
-        number=np.array([row[0] for row in rows], dtype=np.int64),
+        frame=0,
+        time_s=0.0,
+        vehicle_id=np.array([row[0] for row in rows], dtype=np.int64),
+        class_index=np.array([_class_of(name) for name in label.tolist()], dtype=np.int8),
+        lane=np.zeros(len(rows), dtype=np.int16),
         label=label,
         shape=np.array(list(map(_shape_of, label.tolist(), size[:, 0].tolist())), dtype=str),
         centre_m=(in_camera - shift) @ rotation,
@@ -91,6 +95,12 @@ def kitti_frame(folder: Path, name: str) -> tuple[RecordedFrame, np.ndarray]:
     )
     finite = np.isfinite(points).all(axis=1)
     return RecordedFrame(name, f"{folder}: {name}", points[finite], boxes), table[:, 0] > 0.0
+
+
+def _class_of(label: str) -> int:
+    """Index into `CLASSES`; -1 for what is no vehicle."""
+    name = _CLASS_OF.get(label)
+    return -1 if name is None else CLASSES.index(name)
 
 
 def _shape_of(label: str, length_m: float) -> str:

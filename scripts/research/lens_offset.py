@@ -50,7 +50,7 @@ def _measure(argv) -> None:
     with counting(len(site.search), "frames") as advance:
         for frame in site.search:
             for name, (lattice, lens_m) in ways.items():
-                share = _occupancy(frame.vehicles, lattice, lens_m, pose, resolve(args.caster, "--caster"))
+                share = _occupancy(frame, lattice, lens_m, pose, resolve(args.caster, "--caster"))
                 seen[name].append(
                     detectable(share, scenario.objective.threshold, scenario.objective.view)[frame.counted]
                 )

@@ -58,13 +58,13 @@ def scored(path, sensor, caster, detail, bodies):
     changes = {("sensor", "name"): sensor, ("model", "caster"): caster, ("world", "detail"): detail}
     scenario = load_scenario(path, {place: (value, "here") for place, value in changes.items()})
     recording, site = read_recording(scenario), prepare(scenario, bodies=bodies)
-    frame = site.counted(max((recording.vehicles(number) for number in recording.frames), key=len))
+    frame = site.counted(max((recording.at(number) for number in recording.frames), key=len))
     height, tilt = _MOUNTINGS[sensor]
     places = [{"x_m": x, "height_m": height, "tilt_x_deg": tilt} for x in _PLACES_M]
     layouts = [(scenario.mounting(one).pose,) for one in places]
     started = time.perf_counter()
     scorer, scores = (
-        FrameScorer(frame.vehicles, frame.counted, site.observation),
+        FrameScorer(frame, site.observation),
         VehicleScores(site.scoring, site.observation, [frame]),
     )
     found = scores.of(frame, scorer, layouts)

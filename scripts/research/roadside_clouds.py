@@ -46,11 +46,11 @@ def roadside_frames(folder: Path) -> Iterator[tuple[RecordedFrame, Pose, np.ndar
             mine = [row for row in rows if (row["file"], row["carriageway"]) == (file, side)]
             of = lambda *keys, mine=mine: np.array([[float(row[key]) for key in keys] for row in mine])  # noqa: E731
             label, size = np.array([row["class"] for row in mine]), of("length_m", "width_m", "height_m")
-            kind = fleet_kind(np.array([CLASSES.index(name) for name in label]), size[:, 0])
+            classes, lane = np.array([CLASSES.index(name) for name in label]), np.zeros(len(mine), dtype=np.int16)
             centre, heading = _towards_axis(of("x_m", "y_m", "z_m")), np.radians(of("heading_deg")[:, 0])
-            boxes = LabelledBoxes(
-                of("vehicle_id")[:, 0].astype(int), label, np.array(FLEET_KINDS)[kind], centre, size, heading
-            )
+            columns = of("vehicle_id")[:, 0].astype(int), classes, centre, size, heading, lane
+            shape = np.array(FLEET_KINDS)[fleet_kind(classes, size[:, 0])]
+            boxes = LabelledBoxes(0, 0.0, *columns, label=label, shape=shape)
             known = np.array([row["confidence"] for row in mine])
             yield RecordedFrame(file, f"{folder}: {file}", pose.position + pose.to_world(points), boxes), pose, known
 

@@ -29,17 +29,17 @@ from blender_lidar.detection.judge import within
 from blender_lidar.detection.pillars import PillarsDetector
 from blender_lidar.detection.scores import CRITERIA, Matches, intervals, match, measured
 from blender_lidar.detection.stored import AS_RECORDED, RecordedClouds
-from blender_lidar.scene.observation import CountedFrame
 from blender_lidar.scene.region import region_within
 from blender_lidar.statistics import statistic_interval_90
 from blender_lidar.traffic import read_table
+from blender_lidar.traffic.boxes import Boxes
 
 MEASURED = Hung("flu", (0, 0, 3.49, 0.075, 0.385, -89.72), "RS-Ruby-Lite-V2R", [(-16.5, -2.6), (2.6, 16.5)])
 BANDS_M = ((0.0, 100.0), (0.0, 20.0), (20.0, 50.0), (50.0, 75.0), (75.0, 100.0))
 AT, SEED = "0.3", 1
 
 
-def labels_of(folder: Path, scratch: Path) -> tuple[list[Path], list[CountedFrame], dict[str, np.ndarray]]:
+def labels_of(folder: Path, scratch: Path) -> tuple[list[Path], list[Boxes], dict[str, np.ndarray]]:
     """The frames as files, their boxes of which A to C count, and the rows of the boxes by column."""
     with (folder / "vehicles_fitted.csv").open(encoding="utf-8", newline="") as stream:
         rows = [row for row in csv.DictReader(stream) if row["file"] != "raw"]
@@ -49,8 +49,8 @@ def labels_of(folder: Path, scratch: Path) -> tuple[list[Path], list[CountedFram
         np.savez(path, xyz=held[f"s{names[int(path.stem)]}000"])
     table = {key: np.array([row[key] for row in rows]) for key in rows[0]}
     sure = table["vehicle_id"].astype(int)[np.isin(table["confidence"], ("A", "B", "C"))]
-    frames = map(read_table(table).vehicles, sorted(names))
-    return paths, [CountedFrame(one, np.isin(one.vehicle_id, sure)) for one in frames], table
+    frames = map(read_table(table).at, sorted(names))
+    return paths, [replace(one, counted=np.isin(one.vehicle_id, sure)) for one in frames], table
 
 
 def detections(clouds: Sequence[PointCloud], read: RecordedClouds) -> dict[str, list]:
@@ -78,11 +78,11 @@ def levelled(clouds: Sequence[PointCloud]) -> list[PointCloud]:
     ]
 
 
-def judged(boxes: Sequence, frames: Sequence[CountedFrame], spans: Sequence, read: RecordedClouds) -> list[Matches]:
+def judged(boxes: Sequence, frames: Sequence[Boxes], spans: Sequence, read: RecordedClouds) -> list[Matches]:
     """Matches by each criterion between some y [m]."""
     (low, _), (high, _) = read.low, read.high
     region = region_within([np.array([(low, a), (high, a), (high, b), (low, b)]) for a, b in spans])
-    inside = [replace(one, counted=one.counted & region.holds(one.vehicles)) for one in frames]
+    inside = [replace(one, counted=one.counted & region.holds(one)) for one in frames]
     return [match(boxes, inside, region, (0.0, 0.0), criterion) for criterion in CRITERIA]
 
 

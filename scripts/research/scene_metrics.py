@@ -29,10 +29,10 @@ import numpy as np
 
 import blender_lidar as bl
 from blender_lidar.metrics.metric import Metric, VehicleReturns
-from blender_lidar.scene.observation import CountedFrame, Observation
+from blender_lidar.scene.observation import Observation
 from blender_lidar.sensors.lidar import Lidar
 from blender_lidar.sensors.pose import Pose
-from blender_lidar.traffic.vehicles import Vehicles
+from blender_lidar.traffic.boxes import Boxes
 from occupancy_prior import OccupiedFrames, reach_probability
 from voxel_grid import VoxelGrid, covered_voxels
 
@@ -121,7 +121,7 @@ class Road:
 
     Parameters
     ----------
-    frames : sequence of CountedFrame
+    frames : sequence of Boxes
         They weigh by their counted vehicles; one at least is needed. All their vehicles occupy voxels.
     observation : Observation
         Whose LiDARs look.
@@ -138,15 +138,14 @@ class Road:
         Its area [m²].
     """
 
-    def __init__(self, frames: Sequence[CountedFrame], observation: Observation) -> None:
-        vehicles = [frame.vehicles for frame in frames]
-        ends = [_ends(boxes.select(frame.counted)) for boxes, frame in zip(vehicles, frames, strict=True)]
+    def __init__(self, frames: Sequence[Boxes], observation: Observation) -> None:
+        ends = [_ends(frame.select(frame.counted)) for frame in frames]
         self.low, self.high = np.concatenate(ends).min(axis=0), np.concatenate(ends).max(axis=0)
         self.area_m2 = float(np.prod(self.high - self.low))
-        top = max(float((boxes.centre_m[:, 2] + 0.5 * boxes.size_m[:, 2]).max(initial=0.0)) for boxes in vehicles)
+        top = max(float((boxes.centre_m[:, 2] + 0.5 * boxes.size_m[:, 2]).max(initial=0.0)) for boxes in frames)
         self.grid = VoxelGrid.covering((*self.low, 0.0), (*self.high, max(top, ROAD_VOXEL_M)), ROAD_VOXEL_M)
         self.frames = OccupiedFrames(
-            [self.grid.in_boxes(boxes.centre_m, boxes.size_m, boxes.heading_rad) for boxes in vehicles],
+            [self.grid.in_boxes(boxes.centre_m, boxes.size_m, boxes.heading_rad) for boxes in frames],
             len(self.grid),
             [np.count_nonzero(frame.counted) for frame in frames],
         )
@@ -192,7 +191,7 @@ class Road:
                 yield lidar, _turned(beams, pose.rotation), pose
 
 
-def _ends(boxes: Vehicles) -> np.ndarray:
+def _ends(boxes: Boxes) -> np.ndarray:
     """The least and the greatest x and y of each box, (2 v, 2) [m]."""
     cos, sin = np.abs([np.cos(boxes.heading_rad), np.sin(boxes.heading_rad)])
     length, width, _ = 0.5 * boxes.size_m.T
@@ -226,9 +225,9 @@ class SceneScore:
         Makes of it and a layout the value of every frame, (f,) or one for all.
     """
 
-    def __init__(self, frames: Sequence[CountedFrame], observation: Observation, values: Callable) -> None:
+    def __init__(self, frames: Sequence[Boxes], observation: Observation, values: Callable) -> None:
         self._scene, self._values = (frames, observation), values
-        self._row = {frame.vehicles.frame: row for row, frame in enumerate(frames)}
+        self._row = {frame.frame: row for row, frame in enumerate(frames)}
         self._kept: dict[bytes, np.ndarray] = {}
 
     def __call__(self, returns: VehicleReturns) -> np.ndarray:
@@ -236,7 +235,7 @@ class SceneScore:
         if not len(returns):
             return np.zeros(0)
         most = max(_LAYOUTS_KEPT, len(returns.layouts))
-        row, counted = self._row[returns.frame.vehicles.frame], np.count_nonzero(returns.frame.counted)
+        row, counted = self._row[returns.frame.frame], np.count_nonzero(returns.frame.counted)
         return np.repeat([self._of(layout, most)[row] for layout in returns.layouts], counted)
 
     @cached_property
@@ -258,7 +257,7 @@ def _of_scene(**described) -> Callable:
 
     def decorated(values: Callable) -> Metric:
         @wraps(values)
-        def learn(frames: Sequence[CountedFrame], observation: Observation) -> SceneScore:
+        def learn(frames: Sequence[Boxes], observation: Observation) -> SceneScore:
             return SceneScore(frames, observation, values)
 
         return bl.metric(learn, needs=["layouts"], learns=True, **described)

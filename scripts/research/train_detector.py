@@ -48,7 +48,6 @@ from blender_lidar.scene.scenario import Scenario, load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.workers import Workers
 from blender_lidar.studies.candidates import at_one_place
-from blender_lidar.traffic.boxes import kind_of
 from blender_lidar.traffic.vehicles import PEDESTRIAN
 from blender_lidar.world.meshes import GLASS, PAINT, REFLECTIVITY
 from detector_worlds import LANE_M, TWO_WAY_LANES, Options, crossing_world, hard_world, two_way_world, write_two_way
@@ -267,7 +266,7 @@ def window_of(sample: Sample, gate_m: float, rng: np.random.Generator, left_m: f
             (vehicles.centre_m - foot) @ about,
             vehicles.size_m,
             wrap_angle(vehicles.heading_rad + turn),
-            kind_of(vehicles.class_index),
+            vehicles.kind,
             np.where(labelled, sample.points, 0),
         ]
     )[vehicles.class_index != PEDESTRIAN]

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ...names import KINDS
-from ...traffic.boxes import DetectedBoxes
+from ...traffic.boxes import Boxes
 from ..triangles import place
 from .objects import (
     DETECTION_ROLE,
@@ -36,7 +36,7 @@ _SIDES = [(row, (row + 1) % 4, 4 + (row + 1) % 4, 4 + row) for row in range(4)]
 _FACES = np.array([(3, 2, 1, 0), (8, 5, 6, 9), (4, 8, 9, 7), *_SIDES])
 
 
-def show_detections(scene: bpy.types.Scene, boxes: DetectedBoxes | None) -> None:
+def show_detections(scene: bpy.types.Scene, boxes: Boxes | None) -> None:
     """Wire boxes of a frame's detections, in place of earlier ones; None only takes these away.
 
     Every vertex has the attributes `kind`, an index into `KINDS`, and `confidence`; of each box the first eight are its
@@ -48,13 +48,13 @@ def show_detections(scene: bpy.types.Scene, boxes: DetectedBoxes | None) -> None
 
 
 def animate_detections(
-    scene: bpy.types.Scene, of_frame: Mapping[int, DetectedBoxes], frames: Sequence[int], since_s: Sequence[float]
+    scene: bpy.types.Scene, of_frame: Mapping[int, Boxes], frames: Sequence[int], since_s: Sequence[float]
 ) -> None:
     """Wire boxes of several frames, in place of earlier ones, each frame's from its moment to the next frame's.
 
     Parameters
     ----------
-    of_frame : mapping of int to DetectedBoxes
+    of_frame : mapping of int to Boxes
         By the numbers of their frames; those of other frames are left out.
     frames : sequence of int
         That the scene's vehicles drive through.

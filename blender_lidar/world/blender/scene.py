@@ -19,8 +19,8 @@ from ...road.road_map import RoadMap
 from ...sensors.beams import BeamLattice
 from ...sensors.pose import Pose
 from ...signals import stops_end_at_once
-from ...traffic.boxes import DetectedBoxes
-from ...traffic.vehicles import Recording, Vehicles
+from ...traffic.boxes import Boxes
+from ...traffic.vehicles import Recording
 from ..scenery import Scenery
 from .bodies import body_of, kept_body
 from .detections import animate_detections, show_detections
@@ -236,7 +236,7 @@ class Moment:
     Attributes
     ----------
     road : RoadMap
-    vehicles : Vehicles
+    vehicles : Boxes
         The frame.
     detail : str
         Level of detail of the vehicles' shapes.
@@ -252,7 +252,7 @@ class Moment:
         What stands still.
     settings : mapping or None
         The scene file's tables, for the add-on to go on with.
-    detections : mapping of int to DetectedBoxes
+    detections : mapping of int to Boxes
         What a detector found, by the numbers of frames.
     name : str
         What the LiDAR is called.
@@ -265,7 +265,7 @@ class Moment:
     """
 
     road: RoadMap
-    vehicles: Vehicles
+    vehicles: Boxes
     detail: str
     lattice: BeamLattice
     pose: Pose
@@ -273,7 +273,7 @@ class Moment:
     points: Mapping[str, np.ndarray] | None = None
     scenery: Scenery | None = None
     settings: Mapping[str, object] | None = None
-    detections: Mapping[int, DetectedBoxes] = field(default_factory=dict)
+    detections: Mapping[int, Boxes] = field(default_factory=dict)
     name: str = "LiDAR"
     further: tuple[Moment, ...] = ()
     since_s: float = 0.0

@@ -9,8 +9,9 @@ import numpy as np
 from mathutils import Matrix
 
 from ...road.road_map import wrap_angle
+from ...traffic.boxes import Boxes
 from ...traffic.fleet import KIND_OF_BODY
-from ...traffic.vehicles import SAME_S, Recording, Vehicles
+from ...traffic.vehicles import SAME_S, Recording
 from ..meshes import GLASS, joined
 from ..shapes import shape, wheels
 from ..triangles import shape_names
@@ -98,17 +99,14 @@ def show_recording(
     end = np.where(goes_on, clock[np.searchsorted(recording.frames, recording.frame[after])], begin + 2.0 * SAME_S)
     there = np.where(goes_on, after, np.arange(rows[first], rows[last]))
     there = {name: getattr(recording, name)[there] for name in ("centre_m", "heading_rad")}
-    boxes = Vehicles(0, 0.0, **{name: getattr(recording, name)[part] for name in _OF_BOXES})
+    boxes = recording.select(part)
     low, high = -_EVER_S if first == 0 else clock[first], _EVER_S if last == len(clock) else clock[last] - SAME_S
     window = [0.0, 0.0, origin_s] if alone else [low, high, origin_s]
     item = _write(scene, boxes, there, begin - origin_s, end - origin_s, detail, own, window)
     starts_at(item, since_s, starts_s)
 
 
-_OF_BOXES = ("vehicle_id", "class_index", "centre_m", "size_m", "heading_rad", "lane", "body")
-
-
-def show_still(scene: bpy.types.Scene, vehicles: Vehicles, detail: str = "body", own=None) -> None:
+def show_still(scene: bpy.types.Scene, vehicles: Boxes, detail: str = "body", own=None) -> None:
     """Let a scene show the vehicles of one moment at all times, as `show_recording` does."""
     there = {"centre_m": vehicles.centre_m, "heading_rad": vehicles.heading_rad}
     ever = np.full(len(vehicles), _EVER_S)
