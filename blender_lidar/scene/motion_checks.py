@@ -12,7 +12,6 @@ from ..road.road_map import wrap_angle
 from ..traffic.tracks import central_velocity, held_heading
 from ..traffic.vehicles import Placing, Recording
 from . import usual
-from .region import Region
 
 if TYPE_CHECKING:
     from .plausibility import Found, LookedAt
@@ -346,11 +345,14 @@ _CROSSING_RAD = math.radians(15.0)  # off x: lane changes are beyond
 _BIN_M, _SMOOTHED_M, _FARTHEST_M = 0.1, 0.3, 1.7  # of densities across the road, and from one to the next
 
 
-def drift(tracks: Tracks, region: Region, drifted_m: float, errors: float) -> Found:
+def drift(seen: LookedAt, limit: tuple[float, float]) -> Found:
     """Lanes that move across the road: cross-correlation of where vehicles drive in one window of time and the next.
 
     A drone's drift of 5 cm/s makes nine lanes of three. A polygon may hold a crossing, and is not looked at.
     """
+    if not seen.lies_along_x:
+        return None
+    (drifted_m, errors), tracks, region = limit, seen.tracks, seen.placed.region
     inside = np.hypot(*(tracks.xy - region.centre_xy).T) <= region.radius_m
     rows = np.flatnonzero(inside & (np.abs(np.sin(tracks.heading_rad)) <= math.sin(_CROSSING_RAD)))
     if region.polygon or not len(rows):
@@ -377,11 +379,14 @@ def drift(tracks: Tracks, region: Region, drifted_m: float, errors: float) -> Fo
     return {"side": "left" if mean > 0.0 else "right", "cm_s": 100.0 * abs(mean) / window_s}
 
 
-def bend(tracks: Tracks, region: Region, sagitta_m: float) -> Found:
+def bend(seen: LookedAt, sagitta_m: float) -> Found:
     """A road that bends within the region: the sagitta of the vehicles' ways, beside a scene's straight lanes.
 
     A polygon may hold a crossing, where vehicles turn, and is not looked at.
     """
+    if not seen.lies_along_x:
+        return None
+    tracks, region = seen.tracks, seen.placed.region
     inside = np.flatnonzero(np.hypot(*(tracks.xy - region.centre_xy).T) <= region.radius_m)
     if region.polygon or not len(inside):
         return None

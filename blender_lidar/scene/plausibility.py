@@ -225,14 +225,6 @@ def _rise(seen: LookedAt, limit: float) -> Found:
     return place.rise(place.known_grades(seen.recording, seen.scenario), seen.scenario.road.grade_percent, limit)
 
 
-def _drift(seen: LookedAt, limit: tuple[float, float]) -> Found:
-    return motion.drift(seen.tracks, seen.placed.region, *limit) if seen.lies_along_x else None
-
-
-def _bend(seen: LookedAt, limit: float) -> Found:
-    return motion.bend(seen.tracks, seen.placed.region, limit) if seen.lies_along_x else None
-
-
 # --- The list: causes before what comes of them, the names as in `names.WARNINGS`; then notes ---------------------
 
 # fmt: off
@@ -285,12 +277,12 @@ WARNING_CHECKS = (
         "vehicle turns on the spot)",
         "probably headings are computed from the motion, and are noise or 0 where there is none: keep the last "
         "heading"),
-    Check("drift", _drift, (1.0, 4.0),
+    Check("drift", motion.drift, (1.0, 4.0),
         "lanes are marked, and places in them vary by less than 1 m together; 4 standard errors: none of 24 "
         "recordings without drift has as many",
         "all lanes move to the {side} of x by {cm_s:.1f} cm/s",
         "a camera that drifts? Take the drift out of x and y"),
-    Check("bend", _bend, 2.0, "metres of sagitta: more than half a lane, and vehicles are in the lane beside",
+    Check("bend", motion.bend, 2.0, "metres of sagitta: more than half a lane, and vehicles are in the lane beside",
         "the road bends by {degrees:.0f} deg within the region, {aside:.1f} m off a straight line, and a scene's "
         "lanes are straight",
         "choose a shorter [region]"),

@@ -11,17 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..csv_tables import (
-    EMPTY,
-    Column,
-    Rows,
-    TableLayout,
-    fields_of,
-    first_lines,
-    header_names,
-    laid_out,
-    read_rows,
-)
+from ..csv_tables import EMPTY, Column, Rows, TableLayout, fields_of, first_lines, header_names, laid_out, read_rows
 from ..errors import InputError, unknown_name
 from ..files import number
 from ..road import StraightRoad

@@ -90,7 +90,7 @@ def read_sumo(
     cars = np.unique(rows["id"][unknown[rows["type"]]])
     size = np.array([kind.size_m for kind in types])[rows["type"]]
     class_index = np.array([CLASSES.index(kind.class_name or "car") for kind in types])[rows["type"]]
-    heading = np.radians(90.0 - rows["angle"])
+    heading = heading_of_sumo_angle(rows["angle"])
     forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     placing = Placing(origin_m or (0.0, 0.0), heading_deg or 0.0)
     # SUMO records the front centre, of persons too (`MSPModel_Striping`, where they walk by stripes).
@@ -120,6 +120,11 @@ def read_sumo(
             ground=ground,
         ),
     )
+
+
+def heading_of_sumo_angle(angle_deg: np.ndarray) -> np.ndarray:
+    """SUMO's angle, clockwise from the net's +y [degrees], as a heading, counter-clockwise from +x [rad]."""
+    return np.radians(90.0 - angle_deg)
 
 
 def _not_used(ground: np.ndarray) -> list[str]:

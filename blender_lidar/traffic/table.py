@@ -33,29 +33,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..csv_tables import (
-    Column,
-    Rows,
-    TableLayout,
-    first_lines,
-    header_names,
-    nearest_names,
-    quoted,
-    read_whole,
-)
+from ..csv_tables import Column, Rows, TableLayout, first_lines, header_names, nearest_names, quoted, read_whole
 from ..errors import InputError, unknown_name
 from ..files import number, open_bytes, write_columns
 from .sumo import frames_of
 from .sumo_types import DEFAULT_TYPES, class_in_name
-from .tracks import (
-    SLOWEST_M_S,
-    drop_repeats,
-    fitted_velocity,
-    heights,
-    held_heading,
-    vehicle_ids,
-    vehicle_numbers,
-)
+from .tracks import SLOWEST_M_S, drop_repeats, fitted_velocity, heights, held_heading, vehicle_ids, vehicle_numbers
 from .vehicles import CLASSES, DIMENSIONS, PEDESTRIAN, Placing, Recording, RepairReport, ground_sample
 
 _LENGTHS = ("length_m", "width_m", "height_m")
