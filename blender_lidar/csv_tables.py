@@ -563,8 +563,8 @@ def _pandas(path: str | Path, why: str) -> Any:
     try:
         import pandas
     except ImportError as error:
-        text = f"has {why}, which pandas reads: pip install pandas; inside Blender, where it is not, give the table"
-        raise MissingExtraError(f"{path}: {text} that blender-lidar init writes of it outside") from error
+        text = f"needs pandas, for {why}: pip install pandas; inside Blender, which lacks it, give the table that"
+        raise MissingExtraError(f"{path}: {text} blender-lidar init writes of it outside") from error
     return pandas
 
 
@@ -575,10 +575,8 @@ def _rows_by_pandas(
     if why == "Parquet":
         frame, place = _parquet(path, [*used.values()]), f"{path}: row "
     else:
-        frame, place = (
-            _csv_by_pandas(path, layout, [used[name] for name in used if name not in columns], why),
-            f"{path}:",
-        )
+        texts = [at for name, at in used.items() if name not in columns]
+        frame, place = _csv_by_pandas(path, layout, texts, why), f"{path}:"
     found = {}
     for name, at in used.items():
         series = frame[at]
@@ -588,8 +586,7 @@ def _rows_by_pandas(
             continue
         values = series.astype(object).where(series.notna(), None).to_numpy()
         if name in columns and why == "decimal commas" and not is_number:
-            texts = [text for text in values if text is not None]
-            if _WITH_POINT.search(" ".join(texts)):
+            if _WITH_POINT.search(" ".join(text for text in values if text is not None)):
                 raise InputError(f"{path}: has numbers with a decimal comma and with a point; allowed: one of them")
             values = np.array([text if text is None else text.replace(",", ".") for text in values], dtype=object)
         found[name] = values
