@@ -69,7 +69,7 @@ LIBRARIES = {
     "sumolib": ("road/sumo_net.py",),
     "matplotlib": ("report/",),
     "tqdm": ("commands/progress.py",),
-    "scipy": ("studies/",),
+    "scipy": ("studies/", "road/pole_places.py", "traffic/layout.py", "traffic/motion.py", "traffic/site_layout.py"),
     "sklearn": ("detection/classical.py",),
     "distributed": ("scoring/cluster.py",),
     "pandas": ("results.py", "csv_tables.py"),

@@ -15,7 +15,7 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.commands import init
-from blender_lidar.road.pole_places import _connected, _distance_to, propose_poles
+from blender_lidar.road.pole_places import propose_poles
 from blender_lidar.road.straight import StraightRoad, road_map
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -49,34 +49,6 @@ def poles_of(folder):
 
 
 # --- Poles ------------------------------------------------------------------------------------------------------------
-
-
-def test_distances_and_pieces_of_a_grid_are_those_of_a_slow_search():
-    rng = np.random.default_rng(5)
-    marked = rng.random((23, 31)) < 0.4
-    cells = np.argwhere(marked)
-    for row, column in np.ndindex(marked.shape):
-        slow = 0.5 * np.hypot(*(cells - (row, column)).T).min()
-        found = _distance_to(marked)[row, column] if (row, column) in ((0, 0), (11, 15), (22, 30)) else None
-        assert found is None or (found == pytest.approx(slow) if slow <= 4.0 else found >= 4.0)
-    numbers = _connected(marked)
-    assert ((numbers > 0) == marked).all()
-    assert sorted(set(numbers[marked].tolist())) == list(range(1, int(numbers.max()) + 1))
-    for first, second in ((numbers[1:], numbers[:-1]), (numbers[:, 1:], numbers[:, :-1])):
-        both = (first > 0) & (second > 0)
-        assert (first[both] == second[both]).all()
-    seen = np.zeros(marked.shape, dtype=bool)
-    for number in range(1, int(numbers.max()) + 1):  # each number is one piece: a flood from one of its cells fills it
-        todo, piece = [tuple(np.argwhere(numbers == number)[0])], set()
-        while todo:
-            row, column = todo.pop()
-            if (row, column) in piece or not (0 <= row < 23 and 0 <= column < 31) or not marked[row, column]:
-                continue
-            piece.add((row, column))
-            todo += [(row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)]
-        assert len(piece) == (numbers == number).sum()
-        seen[tuple(np.array(sorted(piece)).T)] = True
-    assert (seen == marked).all()
 
 
 def test_poles_beside_a_road_with_a_median_stand_on_both_sides_and_on_the_median():

@@ -34,7 +34,7 @@ from ..traffic.site_layout import SiteLayout, is_crossing, propose_site
 from ..traffic.sumo_types import SumoConfig, is_config, read_config
 from ..traffic.vehicles import counted
 from .init_site import POLES, draw_site, site_summary, write_site
-from .options import given_options
+from .options import check_scipy, given_options
 
 SCENE, PICTURE, RECORDING, TABLE = "scene.toml", "scene.png", "run.fcd.xml.gz", "traffic.csv"
 EXAMPLE = "example"
@@ -51,6 +51,7 @@ _FCD_PERIOD_S = 0.5
 
 def run(args: argparse.Namespace) -> int:
     """Read the traffic, propose a road, write the scene and its picture; returns the exit code."""
+    check_scipy("init")
     folder = Path(args.folder)
     kind, path = _source(args)
     settings = settings_of(TrafficSettings)

@@ -18,7 +18,7 @@ from ..names import SIDES
 from ..road import StraightRoad
 from ..road.road_map import wrap_angle
 from .lanes import FEW, FEWEST_ON_A_ROAD, ONE_CARRIAGEWAY_M, Lanes, lanes_across
-from .motion import SAME_WAY_RAD, Samples, busiest_place, directions, near_place, sharpest, turned, unturned, windowed
+from .motion import SAME_WAY_RAD, Samples, busiest_place, directions, near_place, sharpest, turned, unturned
 from .vehicles import Placing, Recording
 
 HALF_STRETCH_M = 50.0
@@ -281,6 +281,8 @@ def _station(everything: Samples, place: np.ndarray, direction: float, lanes: La
 
     Where it `stays` it is the nearest place that is free.
     """
+    from scipy import ndimage
+
     u, v = turned(everything.xy - place, direction)
     off = everything.off(direction)
     on_road = (v >= lanes.right_m) & (v <= lanes.left_m)
@@ -292,7 +294,7 @@ def _station(everything: Samples, place: np.ndarray, direction: float, lanes: La
     edges = np.arange(-reach, reach + _BIN_M, _BIN_M)
     presence = np.histogram(u[along], edges)[0]
     here = int(np.abs(edges + 0.5 * _BIN_M).argmin())
-    followed = windowed(presence, 6) > 0
+    followed = ndimage.binary_dilation(presence > 0, iterations=3)
     gaps = np.flatnonzero(~followed)
     low, high = gaps[gaps < here].max(initial=-1) + 1, gaps[gaps > here].min(initial=len(presence)) - 1
     used = np.flatnonzero(presence[low : high + 1]) + low
@@ -300,7 +302,7 @@ def _station(everything: Samples, place: np.ndarray, direction: float, lanes: La
         return None
     extent = float(edges[used[0]]), float(edges[used[-1] + 1])
     crossed = np.histogram(u[across], edges)[0] > np.maximum(FEW * presence, 1)
-    near_crossing = windowed(crossed, 4) > 0
+    near_crossing = ndimage.binary_dilation(crossed, iterations=2)
     middles = edges[:-1] + 0.5 * _BIN_M
     inside = (middles > extent[0]) & (middles < extent[1]) & ~near_crossing[: len(middles)]
     crossings = np.flatnonzero(crossed & (middles > extent[0]) & (middles < extent[1]))
@@ -316,7 +318,7 @@ def _station(everything: Samples, place: np.ndarray, direction: float, lanes: La
     if stays:
         merit = -np.abs(middles)
     else:
-        dense = windowed(presence, 2 * int(HALF_STRETCH_M / _BIN_M))
+        dense = ndimage.uniform_filter1d(presence, 2 * int(HALF_STRETCH_M / _BIN_M) + 1, output=float, mode="constant")
         free &= dense >= 0.9 * dense[free].max()
         merit = np.minimum(middles - extent[0], extent[1] - middles)
     chosen = float(middles[free][merit[free].argmax()])

@@ -76,21 +76,19 @@ def unturned(along: float, across: float, direction: float) -> np.ndarray:
 
 def directions(samples: Samples, follows_x: bool) -> list[float]:
     """The directions that most is driven in, the busiest first [rad]: peaks of a circular histogram."""
+    from scipy import ndimage, signal
+
     if follows_x:
         return [0.0]
     moving = samples.speed > 0.0
     weight = np.histogram(
         np.degrees(samples.heading_rad[moving]) % 360.0, 360, (0.0, 360.0), weights=samples.speed[moving]
     )[0]
-    kernel = np.exp(-0.5 * (np.arange(-12, 13) / 4.0) ** 2)
-    smooth = np.convolve(np.concatenate([weight[-12:], weight, weight[:12]]), kernel / kernel.sum(), "valid")
-    found, left = [], smooth.copy()
-    while len(found) < 8 and left.max() > 0.1 * smooth.max():
-        peak = int(left.argmax())
-        if smooth[peak] >= max(smooth[peak - 1], smooth[(peak + 1) % 360]):
-            found.append(math.radians(peak + 0.5))
-        left[np.arange(peak - 20, peak + 21) % 360] = 0.0
-    return found
+    smooth = ndimage.gaussian_filter1d(weight, 4.0, mode="wrap", truncate=3.0)
+    peaks, found = signal.find_peaks(np.tile(smooth, 3), height=0.1 * smooth.max(), distance=21)
+    order = np.argsort(-found["peak_heights"], kind="stable")
+    here = [peak - 360 for peak in peaks[order].tolist() if 360 <= peak < 720]
+    return [math.radians(peak + 0.5) for peak in here[:8]]
 
 
 def sharpest(near: Samples, place: np.ndarray, direction: float) -> float:
@@ -122,28 +120,21 @@ def busiest_place(everything: Samples, direction: float) -> np.ndarray:
 
 def _busiest(u: np.ndarray, v: np.ndarray, speed: np.ndarray) -> tuple[float, float]:
     """Middle of the 100 m by 20 m through which most drive, along and across [m]; found coarsely first where far."""
-    steps, windows = np.array([10.0, 4.0]), (10, 5)
+    from scipy import ndimage
+
+    steps, windows = np.array([10.0, 4.0]), (11, 5)
     while True:
         low, high = np.array([u.min(), v.min()]), np.array([u.max(), v.max()])
         counts = np.minimum(_MOST_BINS, np.ceil((high - low) / steps) + 1).astype(int)
         size = np.maximum(steps, (high - low) * (1.0 + 1e-9) / counts)
         flow = np.histogram2d(u, v, counts, np.transpose([low, low + counts * size]), weights=speed)[0]
-        for axis, window in enumerate(windows):
-            flow = windowed(flow, window, axis)
+        flow = ndimage.uniform_filter(flow, windows, mode="constant")
         u0, v0 = low + (np.array(np.unravel_index(flow.argmax(), flow.shape)) + 0.5) * size
         if (size == steps).all():
             return float(u0), float(v0)
         reach = 0.5 * (np.array(windows) + 1) * size
         inside = (np.abs(u - u0) <= reach[0]) & (np.abs(v - v0) <= reach[1])
         u, v, speed = u[inside], v[inside], speed[inside]
-
-
-def windowed(values: np.ndarray, window: int, axis: int = 0) -> np.ndarray:
-    """Moving sums over a window about each place; beyond the ends there is nothing."""
-    running = np.insert(np.cumsum(values, axis=axis), 0, 0.0, axis=axis)
-    here = np.arange(values.shape[axis])
-    high = np.minimum(here + window // 2 + 1, len(here))
-    return np.take(running, high, axis) - np.take(running, np.maximum(here - window // 2, 0), axis)
 
 
 def near_place(everything: Samples, place: np.ndarray, direction: float, half_m: float) -> Samples:

@@ -291,6 +291,8 @@ def _arms(recording: Recording, place: np.ndarray) -> int:
     """On how many arms vehicles come to a place or leave it: peaks of a circular histogram of where they are seen first
     and last about it.
     """
+    from scipy import ndimage, signal
+
     order = np.lexsort((recording.frame, recording.vehicle_id))
     xy, vehicle = recording.centre_m[order, :2] - place, recording.vehicle_id[order]
     away = np.hypot(*xy.T)
@@ -303,15 +305,10 @@ def _arms(recording: Recording, place: np.ndarray) -> int:
         return 0
     turn = np.degrees(np.arctan2(ends[:, 1], ends[:, 0])) % 360.0
     counts = np.histogram(turn, 72, (0.0, 360.0))[0]
-    wide = round(math.degrees(_ARM_RAD) / 5.0)
-    arms, least = 0, max(_FEWEST_ON_AN_ARM, _LEAST_SHARE * len(ends))
-    while True:
-        sums = sum(np.roll(counts, shift) for shift in range(-2, 3))
-        peak = int(sums.argmax())
-        if sums[peak] < least:
-            return arms
-        arms += 1
-        counts[np.arange(peak - wide + 1, peak + wide) % 72] = 0
+    around = np.tile(ndimage.convolve1d(counts, np.ones(5, int), mode="wrap"), 3)
+    least = max(_FEWEST_ON_AN_ARM, _LEAST_SHARE * len(ends))
+    peaks = signal.find_peaks(around, height=least, distance=round(math.degrees(_ARM_RAD) / 5.0))[0]
+    return int(((peaks >= 72) & (peaks < 144)).sum())
 
 
 def _busiest_cell(xy: np.ndarray) -> np.ndarray:
