@@ -18,9 +18,20 @@ from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.blender.objects import new_mesh, nodes_of, plain
+from blender_lidar.world.blender.preview import VisibleObjects
 from blender_lidar.world.blender.scene import empty_scene
 from blender_lidar.world.blender.site import LABELS_BY, Labels, open_scenery, read_site, visible_triangles
-from blender_lidar.world.meshes import GLASS, REFLECTIVITY, ROAD, STRUCTURE, surface_of
+from blender_lidar.world.meshes import (
+    BUILDING,
+    GLASS,
+    OWN,
+    REFLECTIVITY,
+    ROAD,
+    STRUCTURE,
+    SURFACE_CLASS,
+    VEGETATION,
+    surface_of,
+)
 from tests.sample_traffic import dense_traffic, scan
 
 pytestmark = pytest.mark.versions
@@ -84,6 +95,69 @@ def test_reflectivity_and_glass_are_those_of_principled_bsdf(scene):
         assert abs(REFLECTIVITY[surface] - known[name][1]) <= 0.0026, name
         assert (surface == GLASS) == (name == "pane"), name
     assert all(REFLECTIVITY[surface_of(value)] == pytest.approx(value) for value in np.arange(0, 1.001, 0.01))
+
+
+def test_kinds_come_from_a_property_or_a_name_of_the_object_or_else_of_its_collection(scene, tmp_path):
+    white, pane = material("white", colour=(0.8, 0.8, 0.8, 1.0)), material("pane", through=1.0)
+    street, trees, inner = (bpy.data.collections.new(name) for name in ("Street", "Vegetation.001", "Houses"))
+    scene.collection.children.link(street)
+    street.children.link(trees)
+    trees.children.link(inner)
+    inner["kind"] = "Building"
+    standing(scene, "Oak", white, into=trees)
+    standing(scene, "House", white, pane, slots=np.array([0, 1]), into=inner)
+    standing(scene, "Kiosk", into=trees)["kind"] = "structure"
+    standing(scene, "buildings.002")
+    standing(scene, "Sign", white)["kind"] = "traffic sign"
+    bpy.data.libraries.write(str(tmp_path / "site.blend"), {scene}, fake_user=True)
+    kinds = {"Oak": [VEGETATION] * 2, "House": [BUILDING, GLASS], "Kiosk": [STRUCTURE] * 2, "Sign": [OWN] * 2}
+    kinds["buildings.002"] = [BUILDING] * 2
+    reflects = {
+        "Oak": [0.8] * 2,
+        "House": [0.8, 0.1],
+        "Kiosk": [0.3] * 2,
+        "Sign": [0.8] * 2,
+        "buildings.002": [0.3] * 2,
+    }
+    for found in (open_scenery(scene, scene.view_layers[0]), read_site(tmp_path / "site.blend")):
+        assert sorted(found.names) == sorted(kinds)
+        for row, name in enumerate(found.names):
+            surface = found.surface[found.owner == row]
+            assert SURFACE_CLASS[surface].tolist() == kinds[name], name
+            np.testing.assert_allclose(REFLECTIVITY[surface], reflects[name], atol=0.0026, err_msg=name)
+
+
+def test_a_cloud_and_its_files_say_the_kinds_of_objects(scene, tmp_path):
+    laspy, plyfile = pytest.importorskip("laspy"), pytest.importorskip("plyfile")
+    for name, x_m, of in (("Building", -4.0, None), ("Hedge", 0.0, "vegetation"), ("Sculpture", 4.0, None)):
+        item = standing(scene, name, material(name, colour=(0.8, 0.8, 0.8, 1.0)))
+        item.location, item.rotation_euler, item.scale = (x_m, 5.0, 2.0), (np.pi / 2, 0.0, 0.0), (1.5, 2.0, 1.0)
+        if of:
+            item["kind"] = of
+    layer, pose = scene.view_layers[0], Pose(0.0, 0.0, 2.0)
+    layer.update()
+    objects, live = open_scenery(scene, layer), VisibleObjects()
+    live.refresh(scene, layer.depsgraph)
+    traffic, lattice = dense_traffic(vehicles=0, length_m=30.0), beam_lattice(load_model("RS-16"), stride=4)
+    cloud = scan(traffic, lattice, pose, caster="exact", max_range_m=50.0, scenery=StandingScenery(objects, "exact"))
+    ray, _, surface, *_ = live.met(pose.position, pose.to_world(lattice.components.reshape(3, -1).T), 50.0)
+    assert {*SURFACE_CLASS[surface].tolist()} == {BUILDING, VEGETATION, OWN}
+    assert len(ray) == (cloud.label >= 0).sum()
+    header = {"sensor": "RS-16", "pose": pose.as_table(), "frame": 1, "rotation_hz": 10.0, LABELS: objects.labels}
+    for suffix in (".npz", ".ply", ".pcd", ".las", ".bin"):
+        write_cloud(tmp_path / f"cloud{suffix}", cloud, header)
+    middle = np.rint(cloud.xyz[:, 0] / 4.0)[cloud.label >= 0]
+    expected = np.array([BUILDING, VEGETATION, OWN])[(middle + 1).astype(int)]
+    written = plyfile.PlyData.read(tmp_path / "cloud.ply")["vertex"]["surface"]
+    np.testing.assert_array_equal(written[cloud.label >= 0], expected)
+    assert (written[cloud.label < 0] == ROAD).all()
+    assert b" class surface label\n" in (tmp_path / "cloud.pcd").read_bytes()
+    names = np.load(tmp_path / "cloud.npz")["surface"]
+    assert {*names[cloud.label >= 0].tolist()} == {"building", "vegetation", "own"}
+    classes = np.asarray(laspy.read(tmp_path / "cloud.las").classification)[cloud.label >= 0]
+    np.testing.assert_array_equal(classes, np.array([6, 5, 1])[(middle + 1).astype(int)])
+    semantic = np.fromfile(tmp_path / "cloud.label", "<u4")[cloud.label >= 0] & 0xFFFF
+    np.testing.assert_array_equal(semantic, np.array([50, 70, 99])[(middle + 1).astype(int)])
 
 
 def test_a_file_says_of_its_materials_what_the_open_scene_does(scene, tmp_path):

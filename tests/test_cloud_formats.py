@@ -67,6 +67,7 @@ def test_a_ply_file_is_what_plyfile_reads(tmp_path, cloud):
     for name, column in (("ring", cloud.ring), ("time", cloud.time_s), ("vehicle_id", cloud.vehicle_id)):
         np.testing.assert_array_equal(vertex[name], column)
     np.testing.assert_array_equal(vertex["class"], cloud.class_index)
+    np.testing.assert_array_equal(vertex["surface"], cloud.surface)
     assert json.loads(content.comments[0]) == HEADER
 
 
@@ -78,7 +79,7 @@ def test_a_pcd_file_is_what_pypcd4_reads(tmp_path, cloud):
     assert content.points == len(cloud)
     np.testing.assert_allclose(content.numpy(("x", "y", "z")).reshape(-1, 3), cloud.xyz, atol=1e-5)
     np.testing.assert_array_equal(content.numpy(("ring",)).ravel(), cloud.ring)
-    for name, column in (("vehicle_id", cloud.vehicle_id), ("class", cloud.class_index)):
+    for name, column in (("vehicle_id", cloud.vehicle_id), ("class", cloud.class_index), ("surface", cloud.surface)):
         np.testing.assert_array_equal(content.numpy((name,)).ravel(), column)
     comment = (tmp_path / "cloud.pcd").read_bytes().split(b"\n")[1]
     assert json.loads(comment.removeprefix(b"# ")) == HEADER

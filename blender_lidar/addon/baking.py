@@ -146,7 +146,7 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
         if len(body) == told[_POINTS] * record_of(told).itemsize:
             record, header = np.frombuffer(body, record_of(told)), told
     points = {"lidar": np.zeros(len(record), np.int32), "label": np.full(len(record), NO_LABEL, np.int32)}
-    points |= {name: record[name] for name in record.dtype.names if name not in ("x", "y", "z", "class")}
+    points |= {name: record[name] for name in record.dtype.names if name not in ("x", "y", "z", "class", "surface")}
     points |= {"xyz": np.stack([record[axis] for axis in "xyz"], axis=1), "vehicle": points.pop("vehicle_id")}
     points["entropy"] = np.interp(points["vehicle"], *header.get(_BITS, ([-1], [0.0])))
     away = points["xyz"] - np.float32(Pose.from_table(header["pose"]).position if header else 0.0)

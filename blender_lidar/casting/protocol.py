@@ -448,7 +448,7 @@ class StandingScenery:
             Rows of those that met something, rising.
         distance : ndarray, (k,)
             How far along each [m].
-        surface : ndarray of uint8, (k,)
+        surface : ndarray of uint16, (k,)
             What it is made of, an index into `world.meshes.REFLECTIVITY`.
         cosine : ndarray, (k,)
             Of the incidence on it.

@@ -19,7 +19,7 @@ from ..files import make_folder, number, open_file, read_file, read_npz, reading
 from ..sensors.pose import Pose
 from ..traffic.boxes import Boxes
 from ..traffic.vehicles import CLASSES
-from ..world.meshes import BUILDING, CYCLIST, PERSON, ROAD, STRUCTURE, SURFACES, VEGETATION
+from ..world.meshes import BUILDING, CYCLIST, PERSON, ROAD, STRUCTURE, SURFACE_CLASS, SURFACES, VEGETATION
 from ..world.scenery import NO_LABEL
 from .scan import NO_CLASS, PointCloud, class_names
 
@@ -47,7 +47,7 @@ _OWN_MATERIAL = "own"  # of an object of the user's
 
 def _surface_names(surface: np.ndarray) -> np.ndarray:
     """What each point lies on, as text: a name of `SURFACES`, or "own" of a material of the user's."""
-    return np.array([*SURFACES, _OWN_MATERIAL])[np.minimum(surface, len(SURFACES))]
+    return np.array([*SURFACES, _OWN_MATERIAL])[SURFACE_CLASS[surface]]
 
 
 def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
@@ -67,7 +67,7 @@ def read_cloud(path: str | Path) -> tuple[PointCloud, dict]:
             columns["label"] = held.get("label", np.full(len(names), NO_LABEL, dtype=np.int32))
             surfaces = held.get("surface", np.full(len(names), SURFACES[ROAD])).ravel().tolist()
             number_of = {name: number for number, name in enumerate(SURFACES)}
-            columns["surface"] = np.array([number_of.get(name, STRUCTURE) for name in surfaces], np.uint8)
+            columns["surface"] = np.array([number_of.get(name, STRUCTURE) for name in surfaces], np.uint16)
             _check_cloud(columns, names, header)
             if TO_SITE in header:
                 matrix = np.array(header[TO_SITE], dtype=float).reshape(4, 4).T
@@ -131,7 +131,7 @@ def _read_npz(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | No
 _RECORD = np.dtype(
     [
         *((name, "<f4") for name in ("x", "y", "z", "intensity")),
-        *[("ring", "<u2"), ("time", "<f8"), ("vehicle_id", "<i4"), ("class", "<i1")],
+        *[("ring", "<u2"), ("time", "<f8"), ("vehicle_id", "<i4"), ("class", "<i1"), ("surface", "<u1")],
     ]
 )
 _PLY_TYPES = {"f4": "float", "u1": "uchar", "u2": "ushort", "f8": "double", "i4": "int", "i1": "char"}
@@ -149,6 +149,7 @@ def _records(path: str | Path, cloud: PointCloud, header: Mapping) -> np.ndarray
     record["x"], record["y"], record["z"] = cloud.xyz.T
     record["intensity"], record["ring"], record["time"] = cloud.intensity, cloud.ring, cloud.time_s
     record["vehicle_id"], record["class"] = cloud.vehicle_id, cloud.class_index
+    record["surface"] = SURFACE_CLASS[cloud.surface]
     for name, _ in _columns_by(header):
         record[name] = getattr(cloud, name)
     return record
@@ -164,7 +165,8 @@ def _check_ids_fit(path: str | Path, vehicle_id: np.ndarray, bits: int, where: s
 def write_ply(path: str | Path, cloud: PointCloud, header: dict) -> None:
     """Write a binary PLY file, as mesh and cloud viewers open: http://paulbourke.net/dataformats/ply
 
-    In the road frame; class counts into `traffic.vehicles.CLASSES`, -1 is no vehicle.
+    In the road frame; class counts into `traffic.vehicles.CLASSES`, -1 is no vehicle; surface into
+    `world.meshes.SURFACES`, one more is a material of the user's.
 
     Raises
     ------
@@ -186,7 +188,8 @@ def write_ply(path: str | Path, cloud: PointCloud, header: dict) -> None:
 def write_pcd(path: str | Path, cloud: PointCloud, header: dict) -> None:
     """Write a binary PCD 0.7 file: https://pointclouds.org/documentation/tutorials/pcd_file_format
 
-    In the road frame; class counts into `traffic.vehicles.CLASSES`, -1 is no vehicle.
+    In the road frame; class counts into `traffic.vehicles.CLASSES`, -1 is no vehicle; surface into
+    `world.meshes.SURFACES`, one more is a material of the user's.
 
     Raises
     ------
@@ -334,10 +337,13 @@ def write_las(path: str | Path, cloud: PointCloud, header: dict) -> None:
 
 
 def _by_surface(cloud: PointCloud, known: Mapping[int, int], unknown: int, labelled: int) -> np.ndarray:
-    """The number of a format for what each point lies on, (n,): that of its surface, or of what has its own label."""
-    numbers = np.full(256, unknown)
+    """The number of a format for what each point lies on, (n,): that of its surface class where the format has one.
+
+    Else it is `labelled` for what has a label of its own, and `unknown` for others.
+    """
+    numbers, surface = np.full(len(SURFACES) + 1, unknown), SURFACE_CLASS[cloud.surface]
     numbers[list(known)] = list(known.values())
-    return np.where(cloud.label >= 0, labelled, numbers[cloud.surface])
+    return np.where((cloud.label >= 0) & ~np.isin(surface, list(known)), labelled, numbers[surface])
 
 
 def _read_las(path: Path, stream: BinaryIO) -> tuple[np.ndarray, np.ndarray | None]:

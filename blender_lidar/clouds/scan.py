@@ -54,7 +54,7 @@ class PointCloud:
         Number of the LiDAR in the order of its layout; 0 where there is one.
     label : ndarray of int32, (n,)
         Number of the label of the user's own object that was met, -1 for anything else, as all have where left out.
-    surface : ndarray of uint8, (n,)
+    surface : ndarray of uint16, (n,)
         What was met, an index into `world.meshes.SURFACES` or, beyond these, a material of the user's own; road where
         left out.
     """
@@ -73,7 +73,7 @@ class PointCloud:
     surface: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        for name, value, kind in (("label", NO_LABEL, np.int32), ("surface", ROAD, np.uint8)):
+        for name, value, kind in (("label", NO_LABEL, np.int32), ("surface", ROAD, np.uint16)):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full(len(self.xyz), value, kind))
 
@@ -153,7 +153,7 @@ class FrameScan:
     def cloud(self, pose: Pose, turn: Turn) -> PointCloud:
         """What a mounting measures of what its beams met."""
         seen, shapes, vehicles, directions = self._seen, self._shapes, self._vehicles, turn.directions
-        kinds = (np.inf, float), (STATIC, np.int32), (ROAD, np.uint8), (1.0, float), (NO_LABEL, np.int32)
+        kinds = (np.inf, float), (STATIC, np.int32), (ROAD, np.uint16), (1.0, float), (NO_LABEL, np.int32)
         met = [np.full(len(directions), value, kind) for value, kind in kinds]  # by beam, so far
         distance, owner, surface, cosine, label = met
 

@@ -91,7 +91,7 @@ class Scenery:
         Corners of each triangle [m, road frame].
     owner : ndarray of int32, (m,)
         Row in `names` of the object that a triangle belongs to.
-    surface : ndarray of uint8, (m,)
+    surface : ndarray of uint16, (m,)
         Index into `meshes.REFLECTIVITY`.
     names : tuple of str
         The objects.

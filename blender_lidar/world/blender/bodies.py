@@ -71,7 +71,7 @@ def body_of(collection: bpy.types.Collection, where: str) -> OwnBody:
     fit = fit_of(low, high)
     vertices = found.corners.reshape(-1, 3) @ fit[:3, :3].T + fit[:3, 3]
     faces = np.arange(len(vertices)).reshape(-1, 3)
-    surface = np.where(found.surface == STRUCTURE, PAINT, found.surface).astype(np.uint8)  # what has no material
+    surface = np.where(found.surface == STRUCTURE, PAINT, found.surface)  # what has no material
     return OwnBody(collection, Shape(np.clip(vertices, -0.5, 0.5), faces, surface), fit)
 
 

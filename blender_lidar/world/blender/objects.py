@@ -12,7 +12,7 @@ from mathutils import Euler, Matrix
 from ...errors import InputError
 from ...sensors.beams import BeamLattice, beam_directions
 from ...sensors.pose import Pose, tilts_of
-from ..meshes import BUILDING, CYCLIST, GLASS, PAINT, PERSON, STRUCTURE, SURFACES, VEGETATION, tube
+from ..meshes import BUILDING, CYCLIST, GLASS, PAINT, PERSON, STRUCTURE, SURFACE_CLASS, SURFACES, VEGETATION, tube
 from ..scenery import Scenery
 
 # --- What an object of ours stands for, kept in a custom property, so that a scene can be read back and shown again -
@@ -300,7 +300,8 @@ def build_scenery(scene: bpy.types.Scene, scenery: Scenery | None) -> None:
         corners = scenery.corners[own]
         middle = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))  # float32 is finest about an object
         vertices, faces = np.unique((corners - middle).reshape(-1, 3), axis=0, return_inverse=True)
-        made_of = np.where(np.isin(scenery.surface[own], list(worn)), scenery.surface[own], STRUCTURE)
+        made_of = SURFACE_CLASS[scenery.surface[own]]
+        made_of = np.where(np.isin(made_of, list(worn)), made_of, STRUCTURE)
         numbers, slot = np.unique(made_of, return_inverse=True)
         mesh = new_mesh(name, vertices, faces.reshape(-1, 3), [worn[number] for number in numbers], slot)
         add_object(into, name, mesh, parent=frame_of(scene)).location = middle

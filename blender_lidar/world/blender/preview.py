@@ -12,9 +12,10 @@ import bpy
 import numpy as np
 from mathutils.bvhtree import BVHTree
 
+from ..meshes import of_kind
 from ..scenery import NO_LABEL
 from .objects import role, to_road
-from .site import Labels, arrays_of, scanned, visible_instances
+from .site import Kinds, Labels, arrays_of, scanned, visible_instances
 
 _PLACING = bpy.types.Object, bpy.types.Collection, bpy.types.Scene
 _WITHOUT_SHAPE = "EMPTY", "CAMERA", "LIGHT", "LIGHT_PROBE", "SPEAKER", "ARMATURE", "LATTICE"
@@ -77,7 +78,7 @@ class VisibleObjects:
 
     def _walk(self, scene, depsgraph) -> None:
         """Look at every instance."""
-        meshes, by_face, labels = {}, {}, Labels(scene)
+        meshes, by_face, labels, kinds = {}, {}, Labels(scene), Kinds()
 
         def take(item):
             key = _uid(_owner(item, depsgraph)), item.data.as_pointer()  # which others take again, but not its owner
@@ -87,25 +88,26 @@ class VisibleObjects:
                     item.data.calc_loop_triangles()
                 of = labels.of_faces(item.data, item.data.polygons if mesh.polygons else item.data.loop_triangles)
                 by_face[id(mesh)] = np.full(len(mesh.surface), NO_LABEL, np.int32) if of is None else of
-            return meshes[key], labels.of(item)
+            return meshes[key], labels.of(item), kinds.of(item)
 
         before = self._table
         taken, turn, move = visible_instances(scene, depsgraph, scanned(scene, depsgraph.view_layer), take)
         self._meshes = meshes
         solid = np.abs(np.linalg.det(turn)) > 0.0
-        rows = [row for row, (mesh, _) in enumerate(taken) if solid[row] and len(mesh.surface)]
+        rows = [row for row, (mesh, *_) in enumerate(taken) if solid[row] and len(mesh.surface)]
         self._place([taken[row] for row in rows], turn[rows], move[rows], by_face)
         self.state += not all(map(np.array_equal, before, self._table))
 
     def _place(self, taken, turn, move, by_face) -> None:
-        """Keep a table of instances: the mesh and label of each, what takes points to it and back, its sphere."""
-        used = {id(mesh): mesh for mesh, _ in taken}
+        """Keep a table of instances: mesh, label and kind of each, what takes points to it and back, its sphere."""
+        used = {id(mesh): mesh for mesh, *_ in taken}
         self._used, row = list(used.values()), {key: row for row, key in enumerate(used)}
-        self._mesh = np.array([row[id(mesh)] for mesh, _ in taken], dtype=np.int64)
-        self._label, self._turn, self._move = np.array([label for _, label in taken], dtype=np.int32), turn, move
+        self._mesh = np.array([row[id(mesh)] for mesh, *_ in taken], dtype=np.int64)
+        self._label, self._kind = np.array([of for _, *of in taken], dtype=np.int32).reshape(-1, 2).T
+        self._turn, self._move = turn, move
         self._box = np.array([mesh.box for mesh in self._used]).reshape(-1, 2, 3)
         self._first = np.cumsum([0, *(len(mesh.surface) for mesh in self._used)])  # of each mesh's faces
-        self._surface = np.concatenate([np.empty(0, np.uint8), *(mesh.surface for mesh in self._used)])
+        self._surface = np.concatenate([np.empty(0, np.uint16), *(mesh.surface for mesh in self._used)])
         self._normal = np.concatenate([np.empty((0, 3)), *(mesh.normal for mesh in self._used)])
         self._of_face = np.concatenate([np.empty(0, np.int32), *(by_face[key] for key in used)])
         cofactor = np.cross(turn[:, (1, 2, 0)], turn[:, (2, 0, 1)]).swapaxes(1, 2)
@@ -114,7 +116,7 @@ class VisibleObjects:
         self._across = half[self._mesh] @ turn  # from the centre to corners, no two of them opposite
         self._centre = np.einsum("ni,nij->nj", self._box.mean(axis=1)[self._mesh], turn) + move
         self._radius = np.sqrt(np.square(self._across).sum(axis=2).max(axis=1, initial=0.0))
-        self._table = list(used), self._mesh, turn, move, self._label, self._of_face  # as others see it
+        self._table = list(used), self._mesh, turn, move, self._label, self._kind, self._of_face  # as others see it
 
     def met(self, origin: np.ndarray, directions: np.ndarray, reach_m: float) -> tuple[np.ndarray, ...]:
         """As `StandingScenery.met`, in chunks of instances from near to far, without rays that have met something."""
@@ -136,7 +138,8 @@ class VisibleObjects:
         normal = np.einsum("nj,nij->ni", self._normal[row], self._back[at])
         normal /= np.sqrt(np.square(normal).sum(axis=1))[:, None]
         cosine = np.abs(np.einsum("ij,ij->i", normal, directions[ray]))
-        return ray, nearest[ray], self._surface[row], cosine, np.maximum(self._label[at], self._of_face[row])
+        surface, label = of_kind(self._surface[row], self._kind[at]), np.maximum(self._label[at], self._of_face[row])
+        return ray, nearest[ray], surface, cosine, label
 
     def _cast(self, origin, directions, some, which, ray, found) -> None:
         """Cast pairs of `some[which]` and `ray`, where the ray enters the box before what it has met, and keep it."""

@@ -15,7 +15,8 @@ import bpy
 import numpy as np
 
 from ...errors import InputError, MissingFileError
-from ..meshes import GLASS, REFLECTIVITY, STRUCTURE, surface_of
+from ...names import BOX_KINDS
+from ..meshes import GLASS, REFLECTIVITY, STRUCTURE, SURFACES, of_kind, surface_of
 from ..scenery import NO_LABEL, Scenery, join
 from .objects import DISPLAY_ONLY, ROAD_ROLE, SURFACE_KEY, VEHICLE, rendered_collections, role, to_road
 from .quiet import first_error, quiet
@@ -107,24 +108,24 @@ def visible_triangles(
     """
     layer = layer or scene.view_layers[0]
     layer.update()
-    meshes, parts = {}, []
+    meshes, parts, kinds = {}, [], Kinds()
 
     def take(item):
         key = item.data.as_pointer()
         if key not in meshes:
             arrays = arrays_of(item.data)
             meshes[key] = *arrays, labels.of_faces(item.data, item.data.loop_triangles) if labels else None
-        return item.name, labels.of(item) if labels else NO_LABEL, *meshes[key]
+        return item.name, kinds.of(item), labels.of(item) if labels else NO_LABEL, *meshes[key]
 
     found = visible_instances(scene, layer.depsgraph, lambda *of: not skip(*of), take)
-    for (name, number, vertices, faces, surface, box, by_face), turn, move in zip(*found, strict=True):
+    for (name, kind, number, vertices, faces, surface, box, by_face), turn, move in zip(*found, strict=True):
         if len(faces) == 0 or not keep(box @ turn + move):
             continue
         if np.linalg.det(turn) < 0.0:  # a mirror turns faces inside out
             faces = faces[:, ::-1]
         label = np.full(len(faces), number, np.int32) if by_face is None else by_face
         owner = np.zeros(len(faces), np.int32)
-        parts.append(Scenery((vertices @ turn + move)[faces], owner, surface, (name,), label))
+        parts.append(Scenery((vertices @ turn + move)[faces], owner, of_kind(surface, kind), (name,), label))
     found = join(parts)
     return replace(found, labels=labels.names(found.label)) if labels else found
 
@@ -212,7 +213,7 @@ def arrays_of(mesh: bpy.types.Mesh, *, triangles: bool = True) -> tuple[np.ndarr
         parts = mesh.loop_triangles
         faces = np.empty(3 * len(parts), np.int32)
         parts.foreach_get("vertices", faces)
-    made_of = _by_slot(parts, [_surface_of(material) for material in mesh.materials] or [STRUCTURE]).astype(np.uint8)
+    made_of = _by_slot(parts, [_surface_of(material) for material in mesh.materials] or [STRUCTURE]).astype(np.uint16)
     vertices = vertices.reshape(-1, 3).astype(float)
     low, high = vertices.min(axis=0, initial=np.inf), vertices.max(axis=0, initial=-np.inf)
     box = np.array(list(product(*zip(low, high, strict=True))))
@@ -248,6 +249,37 @@ def _surface_of(material: bpy.types.Material | None) -> int:
         if not shader.inputs["Base Color"].is_linked:
             colour = shader.inputs["Base Color"].default_value
     return surface_of(_LUMINANCE @ np.array(colour[:3]))
+
+
+# --- Kinds of the user's objects, as of [[world.boxes]] ---------------------------------------------------------------
+
+KIND_KEY = "kind"  # custom property
+
+
+class Kinds:
+    """Surface classes of the user's own objects: structure, building or vegetation, as `kind` of [[world.boxes]].
+
+    A custom property `kind` of an object, or else of a collection that holds it, says it, or their names, such as
+    "Building.003" and "Buildings". The innermost collection counts.
+    """
+
+    def __init__(self) -> None:
+        said = [(one, kind) for one in bpy.data.collections if (kind := _kind_said(one)) is not None]
+        said.sort(key=lambda one: -len(one[0].all_objects))
+        self._kind = {item.as_pointer(): kind for one, kind in said for item in one.all_objects}
+
+    def of(self, item: bpy.types.Object) -> int:
+        """The kind of an evaluated object or instance, an index into `meshes.SURFACES`; structure if none is said."""
+        kind = _kind_said(item.original)
+        return self._kind.get(item.original.as_pointer(), STRUCTURE) if kind is None else kind
+
+
+def _kind_said(block: bpy.types.Object | bpy.types.Collection) -> int | None:
+    """The kind that a data-block says of itself."""
+    for said in (block.get(KIND_KEY), block.name.partition(".")[0].strip().removesuffix("s")):
+        if isinstance(said, str) and said.lower() in BOX_KINDS:
+            return SURFACES.index(said.lower())
+    return None
 
 
 # --- Labels of the user's objects -------------------------------------------------------------------------------------
