@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .clouds.files import read_points
+from .clouds.points import read_points
 from .clouds.scan import PointCloud, joined_clouds
 from .clouds.snapshot import fused_header, mounted_sensors
 from .commands.cloud_options import ScoreOptions

@@ -16,7 +16,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from blender_lidar.addon import baking, scenarios, session
-from blender_lidar.clouds.files import read_points
+from blender_lidar.clouds.points import read_points
 from blender_lidar.world.blender.objects import hang, lidars, new_mesh, pose_of
 from blender_lidar.world.blender.points import cloud_of
 from tests.small_scene import traffic_rows, write_scene, write_table

@@ -11,14 +11,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.cli import main
-from blender_lidar.clouds.files import (
-    SEMANTIC_CLASSES,
-    WRITERS,
-    levelled,
-    read_points,
-    write_cloud,
-    write_sustechpoints,
-)
+from blender_lidar.clouds.files import WRITERS, levelled, write_cloud, write_sustechpoints
+from blender_lidar.clouds.points import SEMANTIC_CLASSES, read_points
 from blender_lidar.clouds.scan import PointCloud
 from blender_lidar.errors import MissingExtraError, OutputError
 from blender_lidar.sensors.beams import beam_lattice

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.cli import main
-from blender_lidar.clouds.files import WRITERS, check_cloud_name, levelled, read_points, write_cloud
+from blender_lidar.clouds.files import WRITERS, levelled, write_cloud
+from blender_lidar.clouds.points import check_cloud_name, read_points
 from blender_lidar.errors import InputError, MissingExtraError, MissingFileError, OutputError
 from blender_lidar.files import whole_file, write_bytes, write_text
 from blender_lidar.sensors.beams import beam_lattice

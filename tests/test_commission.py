@@ -12,7 +12,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from blender_lidar.clouds.files import read_grid, write_pcd
+from blender_lidar.clouds.files import write_pcd
+from blender_lidar.clouds.points import read_grid
 from blender_lidar.clouds.scan import PointCloud
 from blender_lidar.commands.commission import deployment, unit_table
 from blender_lidar.detection.judge import sensor_at

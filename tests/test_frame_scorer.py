@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from blender_lidar.casting import caster_class, is_available
 from blender_lidar.casting.protocol import StandingScenery
-from blender_lidar.clouds.files import read_points, write_npz
+from blender_lidar.clouds.files import write_npz
+from blender_lidar.clouds.points import read_points
 from blender_lidar.compiled import numba_works
 from blender_lidar.metrics import view_grids
 from blender_lidar.metrics.vgop import entropy, occupancy, pe_vgop, to_vehicle_frame

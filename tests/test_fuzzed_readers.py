@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_lidar.clouds.files import read_points
+from blender_lidar.clouds.points import read_points
 from blender_lidar.errors import BlenderLidarError
 from blender_lidar.report.page import write_report
 from blender_lidar.run.folder import RunFolder

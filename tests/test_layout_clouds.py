@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import blender_lidar as bl
-from blender_lidar.clouds.files import in_own_frame, levelled, read_cloud, read_points
+from blender_lidar.clouds.files import in_own_frame, levelled, read_cloud
+from blender_lidar.clouds.points import read_points
 from blender_lidar.clouds.scan import PointCloud, joined_clouds
 from blender_lidar.clouds.snapshot import mounted_sensors
 from blender_lidar.errors import InputError

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..clouds.commissioned import COMMISSION, Hung
-from ..clouds.files import read_grid, read_points
+from ..clouds.points import read_grid, read_points
 from ..clouds.rings import beam_phase, on_beams
 from ..detection.classical import ClassicalDetector
 from ..detection.fitted_boxes import fit_boxes

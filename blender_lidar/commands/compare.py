@@ -10,8 +10,8 @@ from pathlib import Path
 
 from ..casting import resolve
 from ..clouds.commissioned import Hung, read_commission
-from ..clouds.files import check_steps
 from ..clouds.fit import accepted, cloud_misfit
+from ..clouds.points import check_steps
 from ..errors import InputError, MissingExtraError, unknown_name
 from ..files import check_folder, check_unused, make_folder, write_columns, write_text
 from ..names import DEFAULT_CELL_M

@@ -11,14 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..clouds.files import (
-    SUSTECHPOINTS_PARTS,
-    TO_SITE,
-    check_cloud_name,
-    in_own_frame,
-    write_cloud,
-    write_sustechpoints,
-)
+from ..clouds.files import SUSTECHPOINTS_PARTS, TO_SITE, in_own_frame, write_cloud, write_sustechpoints
+from ..clouds.points import check_cloud_name
 from ..clouds.scan import PointCloud, joined_clouds
 from ..clouds.snapshot import MountedSensor, fused_header, fused_moment, mounted_sensors
 from ..detection.files import read_detected

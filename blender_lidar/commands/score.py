@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..clouds.files import check_steps, read_points
 from ..clouds.fit import accepted, cloud_misfit, in_frame
+from ..clouds.points import check_steps, read_points
 from ..errors import InputError
 from ..files import write_columns
 from ..metrics.assignment import NO_BOX, points_in_boxes

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..clouds.commissioned import Hung
-from ..clouds.files import LIDARS, READERS, read_cloud, read_points
+from ..clouds.files import LIDARS, read_cloud
 from ..clouds.fit import accepted, detections_misfit, in_frame
+from ..clouds.points import READERS, read_points
 from ..clouds.rings import beam_phase, on_beams
 from ..clouds.scan import PointCloud
 from ..csv_tables import Column

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..clouds.commissioned import Hung
-from ..clouds.files import read_points
+from ..clouds.points import read_points
 from ..clouds.rings import Rings
 from ..detection.labels import frame_of, places_alone, read_labels
 from ..errors import InputError
