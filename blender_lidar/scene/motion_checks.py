@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..road.road_map import wrap_angle
-from ..traffic.tracks import central_velocity, held_heading
+from ..traffic.tracks import central_velocity, held_heading, medians_of
 from ..traffic.vehicles import Placing, Recording
 from . import usual
 
@@ -151,7 +151,7 @@ def jump_together(seen: LookedAt, limit: tuple[float, float, float]) -> Found:
     faster = ahead[now] - ahead[now - 1] / steps.seconds[now - 1] * steps.seconds[now]
     faster[steps.seconds[now] > 0.5 * together_s] = 0.0
     frames, of = np.unique(tracks.frame[steps.row[now]], return_inverse=True)
-    middle = [_medians_of(values, of.reshape(-1)) for values in (aside, faster)]
+    middle = [medians_of(values, of.reshape(-1)) for values in (aside, faster)]
     enough = np.bincount(of.reshape(-1)) >= usual.FEWEST_TOGETHER
     far = np.flatnonzero(enough & ((np.abs(middle[0]) > aside_m) | (np.abs(middle[1]) > ahead_m)))
     if not len(far) or len(far) > max(usual.SOME * enough.sum(), 2):
@@ -159,12 +159,6 @@ def jump_together(seen: LookedAt, limit: tuple[float, float, float]) -> Found:
     at = far[0]
     later = tracks.frame[steps.later[now]][of.reshape(-1) == at].min()
     return {"metres": math.hypot(middle[0][at], middle[1][at]), "first": frames[at], "later": later}
-
-
-def _medians_of(values: np.ndarray, of: np.ndarray) -> np.ndarray:
-    """The median of the values of each group (n,), numbered from 0 without gaps."""
-    count = np.bincount(of)
-    return values[np.lexsort((values, of))][np.cumsum(count) - count + count // 2]
 
 
 def headings(seen: LookedAt, limit: tuple[float, float]) -> Found:

@@ -19,6 +19,7 @@ import numpy as np
 
 from ..road.road_map import RoadMap
 from .boxes import Boxes
+from .tracks import medians_of
 from .vehicles import (
     CLASSES,
     FLEET_KINDS,
@@ -120,7 +121,7 @@ def with_variety(
     vehicle, of = np.unique(recording.vehicle_id, return_inverse=True)
     kind, length = _kinds(recording, of)
     own = _own_heights(recording, kind, of)
-    height = _medians(recording.size_m[:, 2], of)
+    height = medians_of(recording.size_m[:, 2], of)
     body, factor = np.zeros(len(vehicle), np.int8), np.ones(len(vehicle))
     for at in np.flatnonzero(np.ones(len(vehicle), bool) if ids is None else np.isin(vehicle, ids)).tolist():
         identity = int(vehicle[at])
@@ -152,14 +153,8 @@ def _own_heights(recording: Recording, kind: np.ndarray, of: np.ndarray) -> np.n
 def _kinds(recording: Recording, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of each vehicle its kind, a row of `FLEET_KINDS`, by its most frequent class and median length, and that [m]."""
     counts = np.bincount(of * len(CLASSES) + recording.class_index, minlength=(of.max(initial=-1) + 1) * len(CLASSES))
-    length = _medians(recording.size_m[:, 0], of)
+    length = medians_of(recording.size_m[:, 0], of)
     return fleet_kind(counts.reshape(-1, len(CLASSES)).argmax(axis=1), length), length
-
-
-def _medians(values: np.ndarray, of: np.ndarray) -> np.ndarray:
-    """The lower median of the values of each vehicle: one of them."""
-    counts = np.bincount(of)
-    return values[np.lexsort((values, of))[np.cumsum(counts) - counts + (counts - 1) // 2]]
 
 
 def _drawn(

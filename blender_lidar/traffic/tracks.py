@@ -270,3 +270,9 @@ def heights(index: np.ndarray, length_m: np.ndarray, height_m: Mapping[str, floa
     """Heights [m], (n,), from indices into `CLASSES` and lengths [m]; `height_m` replaces those of `HEIGHTS_M`."""
     table = {**HEIGHTS_M, **(height_m or {})}
     return np.array([table[kind] for kind in FLEET_KINDS])[fleet_kind(index, length_m)]
+
+
+def medians_of(values: np.ndarray, of: np.ndarray) -> np.ndarray:
+    """Grouped median: that of the values (n,) of each group, numbered from 0 without gaps; the lower of two middles."""
+    counts = np.bincount(of)
+    return values[np.lexsort((values, of))[np.cumsum(counts) - counts + (counts - 1) // 2]]
