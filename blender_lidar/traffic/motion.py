@@ -18,6 +18,11 @@ _MOST_SAMPLES = 200_000
 _MOST_BINS = 2000
 
 
+def thinning(count: int) -> slice:
+    """Every so many of `count` rows that at most 200,000 are left."""
+    return slice(None, None, max(1, -(-count // _MOST_SAMPLES)))
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Samples(Boxes):
     """The boxes of a recording with their motion, by vehicle, counted from 0, and time.
@@ -51,8 +56,8 @@ class Samples(Boxes):
         return replace(self, centre_m=self.centre_m * (1.0, -1.0, 1.0), heading_rad=-self.heading_rad)
 
     def thinned(self) -> Samples:
-        """At most `_MOST_SAMPLES` of them."""
-        return self.select(slice(None, None, max(1, -(-len(self) // _MOST_SAMPLES))))
+        """Every so many of them, see `thinning`."""
+        return self.select(thinning(len(self)))
 
     def off(self, direction: float) -> np.ndarray:
         """Angle between each heading and a direction, (n,) [rad], without sign; NaN where there is no heading."""

@@ -37,7 +37,7 @@ def ways_by_map(recording: Recording, road: RoadMap, junctions: Sequence[str]) -
     A vehicle that is not seen to leave has the exit of its lane, where that leads to one alone.
     """
     inner, approaches = set(junctions), approaches_to(road, junctions)
-    part = _thinned(recording.vehicles_alone)
+    part = _each_half_second(recording.vehicles_alone)
     lane = road.locate(part.centre_m, part.heading_rad).lane
     found = {}
     for vehicle, rows in _tracks(part):
@@ -71,7 +71,7 @@ def ways_by_track(recording: Recording, middle_xy: tuple[float, float]) -> Ways:
 
     One that is not seen to pass the middle of the site has no movement.
     """
-    part, found = _thinned(recording.vehicles_alone), {}
+    part, found = _each_half_second(recording.vehicles_alone), {}
     away = np.hypot(*(part.centre_m[:, :2] - middle_xy).T)
     for vehicle, rows in _tracks(part):
         heading, nearest = part.heading_rad[rows], int(away[rows].argmin())
@@ -82,7 +82,7 @@ def ways_by_track(recording: Recording, middle_xy: tuple[float, float]) -> Ways:
     return found
 
 
-def _thinned(recording: Recording) -> Recording:
+def _each_half_second(recording: Recording) -> Recording:
     """Frames that are half a second apart."""
     kept, last = np.zeros(len(recording.frames), dtype=bool), -math.inf
     for at, time_s in enumerate(recording.frame_time_s.tolist()):

@@ -14,7 +14,7 @@ from ..road.driven import DrivenArea, driven_area
 from ..road.mapped import MappedRoad, map_of
 from ..road.pole_places import PolePlace, propose_poles
 from ..road.road_map import Junction, RoadMap, polygon_holds
-from .motion import Samples
+from .motion import Samples, thinning
 from .movements import ways_by_map, ways_by_track
 from .vehicles import Recording, counted
 
@@ -27,7 +27,6 @@ _FEWEST_ON_AN_ARM, _LEAST_SHARE = 5, 0.04  # vehicles
 _LEAST_SPREAD = 0.1  # circular dispersion where ways meet; below 0.01 on a motorway
 _CELL_M = 10.0
 _NEAR_M = 50.0  # from --at to a junction that is meant by it
-_MOST_PLACES = 200_000
 _TOLD = 4  # other junctions
 
 
@@ -158,9 +157,7 @@ def _moved(recording: Recording, origin: np.ndarray) -> Recording:
 
 
 def _thinned(recording: Recording) -> Recording:
-    """At most 200,000 boxes of it."""
-    step = max(1, len(recording) // _MOST_PLACES)
-    return recording.select(np.arange(len(recording)) % step == 0)
+    return recording.select(thinning(len(recording)))
 
 
 def _check_together(recording: Recording, road: RoadMap, settings: MappedRoad) -> None:
