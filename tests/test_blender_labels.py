@@ -24,7 +24,7 @@ from blender_lidar.world.blender.site import LABELS_BY, Labels, open_scenery, re
 from blender_lidar.world.meshes import (
     BUILDING,
     GLASS,
-    OWN,
+    OWN_SURFACE,
     REFLECTIVITY,
     ROAD,
     STRUCTURE,
@@ -110,7 +110,7 @@ def test_kinds_come_from_a_property_or_a_name_of_the_object_or_else_of_its_colle
     standing(scene, "buildings.002")
     standing(scene, "Sign", white)["kind"] = "traffic sign"
     bpy.data.libraries.write(str(tmp_path / "site.blend"), {scene}, fake_user=True)
-    kinds = {"Oak": [VEGETATION] * 2, "House": [BUILDING, GLASS], "Kiosk": [STRUCTURE] * 2, "Sign": [OWN] * 2}
+    kinds = {"Oak": [VEGETATION] * 2, "House": [BUILDING, GLASS], "Kiosk": [STRUCTURE] * 2, "Sign": [OWN_SURFACE] * 2}
     kinds["buildings.002"] = [BUILDING] * 2
     reflects = {
         "Oak": [0.8] * 2,
@@ -141,13 +141,13 @@ def test_a_cloud_and_its_files_say_the_kinds_of_objects(scene, tmp_path):
     traffic, lattice = dense_traffic(vehicles=0, length_m=30.0), beam_lattice(load_model("RS-16"), stride=4)
     cloud = scan(traffic, lattice, pose, caster="exact", max_range_m=50.0, scenery=StandingScenery(objects, "exact"))
     ray, _, surface, *_ = live.met(pose.position, pose.to_world(lattice.components.reshape(3, -1).T), 50.0)
-    assert {*SURFACE_CLASS[surface].tolist()} == {BUILDING, VEGETATION, OWN}
+    assert {*SURFACE_CLASS[surface].tolist()} == {BUILDING, VEGETATION, OWN_SURFACE}
     assert len(ray) == (cloud.label >= 0).sum()
     header = {"sensor": "RS-16", "pose": pose.as_table(), "frame": 1, "rotation_hz": 10.0, LABELS: objects.labels}
     for suffix in (".npz", ".ply", ".pcd", ".las", ".bin"):
         write_cloud(tmp_path / f"cloud{suffix}", cloud, header)
     middle = np.rint(cloud.xyz[:, 0] / 4.0)[cloud.label >= 0]
-    expected = np.array([BUILDING, VEGETATION, OWN])[(middle + 1).astype(int)]
+    expected = np.array([BUILDING, VEGETATION, OWN_SURFACE])[(middle + 1).astype(int)]
     written = plyfile.PlyData.read(tmp_path / "cloud.ply")["vertex"]["surface"]
     np.testing.assert_array_equal(written[cloud.label >= 0], expected)
     assert (written[cloud.label < 0] == ROAD).all()

@@ -14,29 +14,33 @@ import numpy as np
 SURFACES = ("paint", "glass", "road", "structure", "building", "vegetation", "person", "cyclist")
 PAINT, GLASS, ROAD, STRUCTURE, BUILDING, VEGETATION, PERSON, CYCLIST = range(8)
 _STEPS = 200  # of a reflectivity from 0 to 1: a surface for each, of materials of the user's own
-OWN = len(SURFACES)
+OWN_SURFACE = len(SURFACES)
 """The class of what is made of a material of the user's own and of no kind that is said."""
 _KINDS = (STRUCTURE, BUILDING, VEGETATION)  # of things of the user's own, in the order of their surfaces; `BOX_KINDS`
 # Diffuse, at 905 nm, of `SURFACES`: round numbers, not measurements; and of the surfaces by `surface_of`, of each kind.
 REFLECTIVITY = np.concatenate(
     [[0.5, 0.1, 0.2, 0.3, 0.3, 0.3, 0.3, 0.3], np.tile(np.arange(_STEPS + 1) / _STEPS, len(_KINDS))]
 )
-SURFACE_CLASS = np.concatenate([np.arange(OWN), np.repeat([OWN, BUILDING, VEGETATION], _STEPS + 1)]).astype(np.uint8)
-"""Surface class of each surface, an index into `REFLECTIVITY`: an index into `SURFACES`, or `OWN`."""
+SURFACE_CLASS = np.concatenate(
+    [np.arange(OWN_SURFACE), np.repeat([OWN_SURFACE, BUILDING, VEGETATION], _STEPS + 1)]
+).astype(np.uint8)
+"""Surface class of each surface, an index into `REFLECTIVITY`: an index into `SURFACES`, or `OWN_SURFACE`."""
 
 _EQUAL = 1e-9  # relative: lengths that differ by less are equal
 
 
 def surface_of(reflectivity: float) -> int:
     """The surface of a diffuse reflectivity, 0 to 1, to half a percent: an index into `REFLECTIVITY`."""
-    return OWN + round(_STEPS * min(max(float(reflectivity), 0.0), 1.0))
+    return OWN_SURFACE + round(_STEPS * min(max(float(reflectivity), 0.0), 1.0))
 
 
 def of_kind(surface: np.ndarray, kind: int | np.ndarray) -> np.ndarray:
     """Surfaces (m,) of things of a kind, `STRUCTURE`, `BUILDING` or `VEGETATION`: they reflect as before, panes too."""
     first = (_STEPS + 1) * np.searchsorted(_KINDS, kind)
     bare = np.where(surface == STRUCTURE, kind, surface)
-    return np.where(surface >= OWN, OWN + first + (surface - OWN) % (_STEPS + 1), bare).astype(np.uint16)
+    return np.where(surface >= OWN_SURFACE, OWN_SURFACE + first + (surface - OWN_SURFACE) % (_STEPS + 1), bare).astype(
+        np.uint16
+    )
 
 
 @dataclass(frozen=True, slots=True)
