@@ -230,7 +230,7 @@ def test_the_metric_and_the_search_need_numpy_alone():
         import_all("blender_lidar.metrics")
         import_all("blender_lidar.optimise")
         rooms = {name.split(".")[1] for name in sys.modules if name.startswith("blender_lidar.")}
-        assert rooms == {"metrics", "optimise", "compiled", "errors", "files", "names", "plugins", "statistics"}, rooms
+        assert rooms == {"metrics", "optimise", "compiled", "errors", "files", "names", "plugins"}, rooms
         from blender_lidar.optimise import maximise
         print(maximise(lambda x: -(x ** 2).sum(axis=1), [-1.0], [1.0], seed=1, evaluations=50).value > -0.01)
         """

@@ -25,6 +25,7 @@ import tests.research  # noqa: F401
 from blender_lidar.casting import is_available
 from blender_lidar.cli import main
 from blender_lidar.optimise import de_pso, maximise
+from blender_lidar.optimise.multi_fidelity import Asked
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
@@ -233,13 +234,14 @@ def path_as_printed(folder: Path) -> dict:
 
 
 def path_of_auto(folder: Path) -> dict:
-    """The same of the search from cheap to dear, on 40 made-up frames: what it asks for, on which beams and frames."""
+    """The same of the search over two fidelities: what it asks for, and on which beams and frames."""
     search, asked = made_search(2), []
     while not search.done:
         batch = search.ask()
-        asked.append([batch.fidelity.name, digest(np.array(batch.frames)), np.asarray(batch.x).tolist()])
-        worth = 1.0 + np.array(batch.frames) % 5
-        search.tell(whole_numbers(batch.x)[:, None] * worth)
+        coarse = isinstance(batch, Asked)
+        x = batch.x if coarse else batch
+        asked.append([batch.fidelity.name if coarse else "", list(batch.frames) if coarse else [], x.tolist()])
+        search.tell(whole_numbers(x) * (2.0 if coarse else 3.0))
     return {"asked": asked, "best": [*search.best_x.tolist(), search.best_value]}
 
 

@@ -61,11 +61,12 @@ class LayoutObjective:
         return objective.sum(axis=1)
 
     def of_points(self, space: SearchSpace, asked: np.ndarray | Asked) -> np.ndarray:
-        """Of points of a search space: (s,), or (s, frames) where a search over several fidelities asks."""
+        """Of points of a search space, (s,), at the fidelity that is asked for."""
         if not isinstance(asked, Asked):
             return self.of_layouts([space.layout(row) for row in asked])
         fidelity = None if asked.fidelity == Fidelity(self._site.observation.detail) else asked.fidelity
-        return self._evaluator.totals([space.layout(row) for row in asked.x], asked.frames, fidelity).objective
+        layouts = [space.layout(row) for row in asked.x]
+        return self._evaluator.totals(layouts, asked.frames, fidelity).objective.sum(axis=1)
 
     def tried(self, searches: Sequence[tuple[SearchSpace, Search | _Tried]]) -> tuple[list[Layout], np.ndarray]:
         """All complete layouts that searches have tried, and their objective in each block, (n, b)."""

@@ -19,6 +19,7 @@ from ..scene.provenance import versions
 from ..scene.scenario import Scenario
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
+from ..scoring.fidelity import Fidelity
 from ..traffic.frames import NOTHING_HELD_OUT
 from .approach_files import write_approaches
 from .as_hung import HungObjective, searching
@@ -109,12 +110,19 @@ def evaluate_site(site: Site, folder: RunFolder, layout: Layout, pole: Pole | No
         return _conclude(site, folder, evaluator, started, SearchOutcome(layouts, spaces=none, maps=none), pole=pole)
 
 
-def rung_costs(search: MultiFidelitySearch) -> list[dict[str, object]]:
-    """What each rung has taken, for result.json: detail, stride, frames, candidates, casts of a frame, seconds."""
-    fidelities = (rung.fidelity for rung in search.rungs)
+def rung_costs(site: Site, search: MultiFidelitySearch) -> list[dict[str, object]]:
+    """What each stage has taken, for result.json: detail, stride, frames, candidates, casts of a frame, seconds."""
+    stages = (search.fidelity, len(search.frames)), (Fidelity(site.observation.detail), len(site.search))
     return [
-        {"detail": fidelity.detail, "stride": fidelity.stride, **spent}
-        for fidelity, spent in zip(fidelities, search.spent, strict=True)
+        {
+            "detail": fidelity.detail,
+            "stride": fidelity.stride,
+            "frames": frames,
+            "candidates": spent["candidates"],
+            "frame_casts": spent["candidates"] * frames,
+            "seconds": round(spent["seconds"], 3),
+        }
+        for (fidelity, frames), spent in zip(stages, search.spent, strict=True)
     ]
 
 
@@ -185,7 +193,7 @@ def _conclude(
         scores["objective_per_vehicle_as_searched"] = as_searched[name]
     held_out = verdict["optimised"]["holdout"] is not None
     lidars = _lidar_rows(site, evaluator, found, objective, as_searched, gains if held_out else None)
-    rungs = [rung_costs(search) for search in searches if isinstance(search, MultiFidelitySearch)]
+    rungs = [rung_costs(site, search) for search in searches if isinstance(search, MultiFidelitySearch)]
     result = {
         "schema": RUN_SCHEMA,
         "scene": Path(scenario.source).name,

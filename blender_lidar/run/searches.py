@@ -13,14 +13,14 @@ import numpy as np
 
 from ..optimise import DePso, DePsoSettings, Hardened, Search, make_search
 from ..optimise.hardened import Polish
-from ..optimise.multi_fidelity import MultiFidelitySearch
-from ..optimise.search import joined_history, wrapped
+from ..optimise.multi_fidelity import MultiFidelitySearch, far_apart_best
+from ..optimise.search import joined_history
 from ..scene.deployment import MOUNTING_OR_LEAN, SearchSpace
 from ..scene.mounting import Layout
 from ..scene.scenario import Scenario
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
-from ..scoring.fidelity import make_rungs
+from ..scoring.fidelity import screened_with
 from ..statistics import FEW_BLOCKS, FEWEST_BLOCKS, best_intervals_90, best_without_block, block_sums, of_blocks
 from .as_hung import HungObjective, searching
 from .layout_search import LayoutObjective, LayoutSearch, coordinates_of, layout_history, on_same_masts
@@ -147,7 +147,8 @@ def _final_search(
         x = np.concatenate([x, on_grid])
         values = np.concatenate([values, score_map.block_objective.sum(axis=-1).ravel()])
     most, polish = _final_budget(site.scenario, space)
-    starts = far_apart_best(x, values, space, most)
+    lower, upper, periodic = (np.array(one) for one in (space.lower, space.upper, space.periodic))
+    starts = x[far_apart_best((x - lower) / (upper - lower), values, _APART, most, periodic)]
     final = Polish(
         space.lower,
         space.upper,
@@ -182,19 +183,6 @@ def most_evaluations(scenario: Scenario, space: SearchSpace) -> int:
         + on_map
         + (0 if scenario.is_exact else sum(_final_budget(scenario, space)))
     )
-
-
-def far_apart_best(x: np.ndarray, values: np.ndarray, space: SearchSpace, most: int) -> np.ndarray:
-    """The best of some points (n, d) that lie at least `_APART` of the box from one another, the best first, (k, d)."""
-    lower, upper, periodic = (np.array(one) for one in (space.lower, space.upper, space.periodic))
-    shares, chosen = (x - lower) / (upper - lower), []
-    for row in np.argsort(-values, kind="stable").tolist():
-        away = [np.abs(wrapped(shares[row] - shares[other], periodic)).max() for other in chosen]
-        if min(away, default=np.inf) >= _APART:
-            chosen.append(row)
-        if len(chosen) == most:
-            break
-    return x[chosen]
 
 
 def _grid_points(space: SearchSpace, score_map: ScoreMap, x: Sequence[float]) -> np.ndarray:
@@ -300,16 +288,15 @@ def fresh_search(scenario: Scenario, space: SearchSpace, evaluations: int | None
 
 def fresh_auto_search(site: Site, space: SearchSpace) -> MultiFidelitySearch:
     """The search of `[search] fidelity = "auto"`, before its first evaluation: the scene's own method screens."""
-    use, block, variables = site.scenario.search, site.plan.search_block, len(space.variables)
+    use, variables = site.scenario.search, len(space.variables)
     screened = min(use.particles * use.iterations, max(screening(variables), use.particles, 2**variables))
     weight = [float(frame.counted_weight.sum()) for frame in site.search]
-    rungs = make_rungs(site.observation, block, weight, variables)
     screen = fresh_search(site.scenario, space, screened)
-    return MultiFidelitySearch(screen, rungs, block, seed=use.seed)
+    return MultiFidelitySearch(screen, *screened_with(site.observation, weight), seed=use.seed)
 
 
 def screening(variables: int) -> int:
-    """Evaluations on the cheapest rung before halving begins."""
+    """Evaluations at the coarse fidelity, before a climb begins at the full one."""
     return 20 + 40 * variables
 
 

@@ -1,4 +1,4 @@
-"""Fidelity: how much of the model mountings are scored with, and the rungs of a search from cheap to dear.
+"""Fidelity: how much of the model mountings are scored with, and the coarse one that a search screens with.
 
 It is the detail of the vehicles, the share of the beams and the number of frames.
 """
@@ -8,12 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 
 import numpy as np
 
 from ..metrics.metric import grown
-from ..optimise.multi_fidelity import Rung
 from ..scene.observation import Observation
 from ..scene.site import Site
 from ..sensors.beams import BeamLattice, beam_lattice
@@ -78,17 +76,24 @@ def with_fewer_frames(site: Site, frames: int | None) -> Site:
     return replace(site, plan=plan, search=search)
 
 
-# --- the rungs of a search: which frames, beams and shapes each scores mountings with ---------------------------------
-# A rung's frames are the first so many of one fixed order, so that each rung has all frames of the one below and two
-# mountings are always compared on the same ones.
+# --- the coarse fidelity of a search ----------------------------------------------------------------------------------
 
-FIRST_FRAMES = 8
-_CANDIDATES = (16, 8)  # of the second rung and the third
-_FINALISTS = 4
-_SCREEN_CLIMB, _COARSE_CLIMB, _LAST_CLIMB = 24, 15, 14  # samples for each variable, of two at least
-_COARSE_BEAMS = 4000  # in a turn of the first rung: an eighth of an RS-16's, a thirty-second of an RS-80's
+_SCREENED_FRAMES = 24
+_COARSE_BEAMS = 4000  # in a turn: an eighth of an RS-16's, a thirty-second of an RS-80's
 _MOST_STRIDE = 32
 _FEWEST_COLUMNS = 40  # of a turn, for any stride
+
+
+def screened_with(observation: Observation, vehicles: Sequence[float]) -> tuple[Fidelity, tuple[int, ...]]:
+    """The coarse fidelity, and places of the frames that it looks at, spread evenly over those that hold vehicles.
+
+    `vehicles` (f,) is how many count in each frame, or their weights.
+    """
+    filled = np.flatnonzero(np.asarray(vehicles) > 0)
+    filled = filled if len(filled) else np.arange(len(vehicles))
+    frames = filled[evenly_spread(len(filled), min(_SCREENED_FRAMES, len(filled)))]
+    detail = min(observation.detail, "body", key=DETAILS.index)
+    return Fidelity(detail, coarsest_stride(observation)), tuple(frames.tolist())
 
 
 def coarse_observation(observation: Observation, fidelity: Fidelity) -> Observation:
@@ -124,56 +129,3 @@ def coarsest_stride(observation: Observation) -> int:
     lattice = observation.lattice
     thinning = min(lattice.columns * lattice.rings / _COARSE_BEAMS, lattice.columns / _FEWEST_COLUMNS, _MOST_STRIDE)
     return 2 ** round(math.log2(max(thinning, 1.0)))
-
-
-def make_rungs(
-    observation: Observation, block: Sequence[int], vehicles: Sequence[float], variables: int
-) -> tuple[Rung, ...]:
-    """The rungs from the cheapest to the reference, which is the last: the scene's own detail, beams and frames.
-
-    Frames double and beams come back from rung to rung, while half as many candidates go on.
-
-    Parameters
-    ----------
-    observation : Observation
-        The scene's.
-    block : sequence of int, (f,)
-        Block of time of each searched frame.
-    vehicles : sequence of float, (f,)
-        Vehicles that count in each, or their weights.
-    variables : int
-        Searched coordinates.
-    """
-    order, stride = spread_order(block, vehicles), coarsest_stride(observation)
-    cheap, reference = min(observation.detail, "body", key=DETAILS.index), Fidelity(observation.detail)
-    coarse, finer = Fidelity(cheap, stride), Fidelity(cheap, max(1, stride // 2))
-    across = max(variables, 2)  # with one too a climb takes some generations
-    climb = 0 if finer == reference else _COARSE_CLIMB * across
-    return (
-        Rung(coarse, order[:FIRST_FRAMES], climb=_SCREEN_CLIMB * across),
-        Rung(coarse, order[: 2 * FIRST_FRAMES], candidates=_CANDIDATES[0]),
-        Rung(finer, order[: 4 * FIRST_FRAMES], candidates=_CANDIDATES[1], climb=climb),
-        Rung(reference, order, candidates=_FINALISTS, climb=_LAST_CLIMB * across),
-    )
-
-
-def spread_order(block: Sequence[int], vehicles: Sequence[float]) -> tuple[int, ...]:
-    """Places of frames in an order of which every beginning is spread evenly over the blocks of time.
-
-    Blocks take turns, a frame each, and come in an order in which neighbours in time come far apart; so do the frames
-    within a block. Frames in which no vehicle counts come last.
-    """
-    block, filled = np.asarray(block), np.asarray(vehicles) > 0
-    order = []
-    for some in (filled, ~filled):
-        queues = [np.flatnonzero(some & (block == label)) for label in np.unique(block[some])]
-        queues = [queues[turn][far_apart(len(queues[turn]))].tolist() for turn in far_apart(len(queues))]
-        order += [frame for turn in zip_longest(*queues) for frame in turn if frame is not None]
-    return tuple(order)
-
-
-def far_apart(count: int) -> list[int]:
-    """0 to `count` - 1 in an order of which every beginning is spread out: by van der Corput's sequence."""
-    bits = max(count - 1, 1).bit_length()
-    reverse = (int(f"{number:0{bits}b}"[::-1], 2) for number in range(2**bits))
-    return [number for number in reverse if number < count]
