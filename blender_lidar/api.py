@@ -122,7 +122,9 @@ class _Heard:
         self._metric, self._points = metric_named(site.scoring.metric), 0
         self._call = progress if callable(progress) else lambda done, of, best: None
         self._bar = (
-            RunProgress(site.scenario.deployment.spaces[0].variables, self._metric) if progress is True else None
+            RunProgress(site.scenario.lidars[0].deployment.spaces[0].variables, self._metric)
+            if progress is True
+            else None
         )
         self._best = False, -np.inf  # whether of the last stage, and its value
         self.best_x: np.ndarray | None = None
@@ -173,10 +175,12 @@ def best_mounting(
         Of a run that Ctrl-C stops its best mounting so far, judged, with `complete` False; `out` can then be resumed.
         With candidate poles or several LiDARs, whose searches speak of one place each, it raises KeyboardInterrupt.
     """
-    if site.scenario.further_lidars:
+    if site.scenario.is_layout:
         check_searched(site.scenario, "best_mounting: ")
-    elif not all(place.bounds for place in site.scenario.deployment.places):
-        raise InputError(f"{site.scenario.where('deployment', '')} fixes every coordinate; give one a pair [low, high]")
+    elif not all(place.bounds for place in site.scenario.lidar.deployment.places):
+        raise InputError(
+            f"{site.scenario.where(site.scenario.lidar.table, '')} fixes every coordinate; give one a pair [low, high]"
+        )
     if resume and out is None:
         raise InputError("best_mounting: resume needs out, the folder of the run that was stopped")
     if not (isinstance(progress, bool) or callable(progress)):
@@ -189,9 +193,10 @@ def best_mounting(
             return _kept(run, out)
     except KeyboardInterrupt:
         scenario = site.scenario
-        if listener.best_x is None or scenario.deployment.poles or scenario.further_lidars:  # which speak of one place
+        spaces = scenario.lidars[0].deployment.spaces
+        if listener.best_x is None or len(spaces) > 1 or scenario.is_layout:  # which speak of one place
             raise
-        run = _judged(site, scenario.deployment.spaces[0].layout(listener.best_x), None)
+        run = _judged(site, spaces[0].layout(listener.best_x), None)
         run.complete = False
         return run
 
@@ -305,7 +310,7 @@ def _rows(table) -> list[Mapping]:
 
 def _mounting(site: Site, given: Mapping[str, float], where: str = "mounting") -> Mounting:
     """The mounting that coordinates give, checked, with the scene's others."""
-    if site.scenario.further_lidars:
+    if site.scenario.is_layout:
         names = ", ".join(lidar.name for lidar in site.scenario.lidars)
         raise InputError(f"{where}: is of one LiDAR, but the scene has {names}; allowed: score_layout, judge_layout")
     for name in given:
@@ -315,7 +320,7 @@ def _mounting(site: Site, given: Mapping[str, float], where: str = "mounting") -
     # Without a lean there is no direction.
     values = {key: one for key, one in values.items() if one is not None or key not in LEANS}
     numbers = {key: checked(one, MOUNTING_OR_LEAN[key], f"{where}: {key}") for key, one in values.items()}
-    return site.scenario.mounting(numbers, where)
+    return site.scenario.lidar.mounting(numbers, where)
 
 
 def _layout(site: Site, given: Mapping[str, Mapping], where: str) -> Layout:
@@ -328,17 +333,17 @@ def _layout(site: Site, given: Mapping[str, Mapping], where: str) -> Layout:
 
 def _reaching(site: Site, mounts: Sequence[Mounting]) -> Site:
     """The site with all vehicles that matter to the mountings, none of which may stand in traffic."""
-    several = site.scenario.further_lidars
-    hosts = site.scenario.each if several else [site.scenario] * len(mounts)
-    names = [f"mounting of {one.lidar_name}" if several else "mounting" for one in hosts]
-    for host, name, mount in zip(hosts, names, mounts, strict=True):
-        check_mount_is_clear(host, [], {name: mount})
+    scenario = site.scenario
+    hung = scenario.lidars if scenario.is_layout else scenario.lidars * len(mounts)
+    names = [f"mounting of {one.name}" if scenario.is_layout else "mounting" for one in hung]
+    for lidar, name, mount in zip(hung, names, mounts, strict=True):
+        check_mount_is_clear(scenario, lidar, [], {name: mount})
     if reach_of(site.scenario, mounts) > site.reach_m:
         check_same_inputs(site.scenario, site.identity)
         site = prepare(site.scenario, mounts)
-    frames = [*site.search, *site.holdout]
-    for host, name, mount in zip(hosts, names, mounts, strict=True):
-        check_mount_is_clear(host, frames, {name: mount}, site.observation.scenery and site.observation.scenery.scenery)
+    frames, scenery = [*site.search, *site.holdout], site.observation.scenery
+    for lidar, name, mount in zip(hung, names, mounts, strict=True):
+        check_mount_is_clear(scenario, lidar, frames, {name: mount}, scenery and scenery.scenery)
     return site
 
 
@@ -361,10 +366,10 @@ def scan_frame(site: Site, frame: int, **mounting: float | Mapping[str, float]) 
     except TypeError:
         raise InputError(f"frame: is {shown(frame)}; allowed: a whole number, as the recording counts them") from None
     vehicles = frame_of(site.recording, number, "frame")
-    layout = _layout(site, mounting, "scan_frame") if site.scenario.further_lidars else (_mounting(site, mounting),)
+    layout = _layout(site, mounting, "scan_frame") if site.scenario.is_layout else (_mounting(site, mounting),)
     sensors = mounted_sensors(site.scenario, layout)
     for sensor in sensors:
-        check_mount_is_clear(sensor.scenario, [vehicles], {"mounting": sensor.mounting}, sensor.stands)
+        check_mount_is_clear(site.scenario, sensor.spec, [vehicles], {"mounting": sensor.mounting}, sensor.stands)
     return Scan(joined_clouds([of.scan(vehicles) for of in sensors]), vehicles, fused_header(sensors, vehicles))
 
 

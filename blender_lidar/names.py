@@ -19,6 +19,7 @@ SENSOR_SUFFIXES = (".toml", ".csv", ".txt", ".tsv", ".dat", ".json", ".yaml", ".
 CLOUD_SUFFIXES = (".npz", ".pcd", ".ply", ".bin", ".las", ".laz")
 DATASET_LAYOUTS = ("npz", "kitti", "nuscenes")
 VIEWS = ("mean", "max", "min")  # how three occupancies become the P of Eq. 11
+THE_LIDAR = "LiDAR"  # name of the one of a scene whose [sensor] and [deployment] say it
 SIDES = ("right", "left", "median", "gantry")  # of a road, seen in the direction of travel, on which a mast stands
 READINGS = ("corrected", "paper")
 SEARCHES = ("hardened", "de-pso", "grid", "random")  # the first unless said

@@ -247,7 +247,7 @@ def check_a_lidar_keeps_its_coordinates_when_the_slope_of_its_road_changes():
     road.grade_percent, road.cross_fall_percent = 6.0, 2.5
     assert coordinates_of(lidar) == POSE
     scenario = scenarios.scenario_from(scene, lidar)
-    assert np.abs(pose_of(lidar).rotation - scenario.mounting(POSE).pose.rotation).max() < 1e-6
+    assert np.abs(pose_of(lidar).rotation - scenario.lidar.mounting(POSE).pose.rotation).max() < 1e-6
     assert np.abs(pose_of(lidar).rotation - mounting(POSE).pose.rotation).max() > 0.02
     scene.cursor.location = (3.0, -1.0, 4.0)
     assert bpy.ops.blender_lidar.add() == {"FINISHED"}

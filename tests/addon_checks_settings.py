@@ -63,7 +63,7 @@ def check_a_scan_and_a_score_are_those_of_the_command_line():
     site = prepared(scenario, mounting(POSE))
     assert [frame.frame for frame in site.search] == [FRAME]
     with Evaluator(site.search, site.observation, site.scoring) as evaluator:
-        totals = evaluator.totals([(mounting(POSE),), (scenario.baseline,)])
+        totals = evaluator.totals([(mounting(POSE),), (scenario.lidar.baseline,)])
     group, vehicles = lidar.blender_lidar, int(totals.vehicles[0])
     assert vehicles > 0
     assert group.vehicles == vehicles
@@ -79,7 +79,7 @@ def check_a_scan_and_a_score_are_those_of_the_command_line():
 
 def prepared(scenario, hangs):
     """The one frame that the panel shows, as a run has it."""
-    traffic = replace(scenario.traffic, frame_ids=(FRAME,), frames=None, holdout=0.0)
+    traffic = replace(scenario.recordings[0], frame_ids=(FRAME,), frames=None, holdout=0.0)
     return prepare(replace(scenario, traffic=traffic), [hangs])
 
 
@@ -94,7 +94,7 @@ def check_an_exported_run_is_that_of_evaluate():
     for name in ("scene", "site"):
         assert one.pop(name) != other.pop(name)  # what it is called
     for result in (one, other):  # where a scene would search, the panel says where the LiDAR hangs
-        result["identity"] = {key: value for key, value in result["identity"].items() if "[deployment]" not in key}
+        result["identity"] = {key: value for key, value in result["identity"].items() if "[lidar]" not in key}
     for key in other:
         assert one[key] == other[key], (key, one[key], other[key])
     assert (out / "vehicles.csv").read_text() == (line / "vehicles.csv").read_text()
@@ -163,7 +163,7 @@ def check_every_field_of_the_panel_comes_back_as_it_was_typed():
     scenario = scenarios.scenario_from(scene, lidar).as_tables()
     for name in ("road", "objective", "region", "baseline", "world", "sensor"):
         assert scenario[name] == first.as_tables()[name], name
-    assert scenario["deployment"]["height_m"] == (2.0, 4.5)
+    assert scenario["lidar"][0]["height_m"] == (2.0, 4.5)
 
 
 def check_every_property_is_as_its_setting_is_declared():

@@ -7,7 +7,7 @@ import numpy as np
 
 from blender_lidar.casting import caster_class
 from blender_lidar.clouds.snapshot import vertices_of
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
@@ -18,7 +18,7 @@ from tests.sample_traffic import dense_traffic, scan
 
 LATTICE = beam_lattice(load_model("RS-16"), stride=8)
 POSE = Pose(0.5, -0.5, 4.2, 0.35, -0.05, 0.3)
-ROAD = road_map(StraightRoad(setback_m=1.0, lanes=3, lane_width_m=3.6))
+ROAD = map_of(RoadSettings(setback_m=1.0, lanes=3, lane_width_m=3.6))
 TRAFFIC = dense_traffic(vehicles=40, length_m=90.0)
 SCENERY = join([barrier("concrete", 14.0, (-40.0, 40.0)), box("cabinet", (5.0, -1.0, 0.8), (1.0, 0.6, 1.6), 0.5)])
 REACH_M = 60.0

@@ -13,7 +13,7 @@ from blender_lidar.report.cloud_figures import Found, Sight, plot_clouds, plot_d
 from blender_lidar.report.coverage_figures import plot_blind_zones, plot_reach
 from blender_lidar.report.plan import Stand
 from blender_lidar.report.run_figures import plot_by_approach, plot_by_distance, plot_convergence, plot_score_map
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.verdict import ScoreMap
 from blender_lidar.scene.mounting import COORDINATES
@@ -23,8 +23,8 @@ from tests.small_scene import mounting
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 HEADINGS = {"title": "A title", "subtitle": "And a subtitle"}
 CAR = (4.5, 1.8, 1.5)
-STRAIGHT = StraightRoad(lanes=5)
-ROAD = road_map(STRAIGHT)
+STRAIGHT = RoadSettings(lanes=5)
+ROAD = map_of(STRAIGHT)
 
 
 def table(seed: int, number: int = 200) -> dict[str, np.ndarray]:

@@ -13,7 +13,8 @@ import numpy as np
 
 from blender_lidar.casting import is_available
 from blender_lidar.cli import main
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
+from blender_lidar.scene.deployment import Facing, Place, Pole
 from blender_lidar.scene.mounting import Mounting, mounting_from
 from blender_lidar.toml_table import to_toml
 
@@ -68,7 +69,12 @@ def write_scene(folder: Path, changes: dict[str, dict[str, object]] | None = Non
     folder.mkdir(parents=True, exist_ok=True)
     tables = {name: dict(table) for name, table in SETTINGS.items()}
     for name, table in (changes or {}).items():
-        tables.setdefault(name, {}).update(table)
+        if isinstance(table, list):
+            tables[name] = table
+        else:
+            tables.setdefault(name, {}).update(table)
+    if "lidar" in tables:
+        tables.pop("deployment", None)
     if not (folder / "traffic.csv").exists():
         write_table(folder / "traffic.csv", traffic_rows())
     path = folder / "scene.toml"
@@ -83,7 +89,14 @@ def without_charts(monkeypatch) -> None:
 
 def mounting(coordinates: dict[str, float], **changes: float) -> Mounting:
     """The mounting beside a level road that coordinates give [m, degrees]; at the origin, 2 m high unless said."""
-    return mounting_from({**coordinates, **changes}, road_map(StraightRoad()))
+    return mounting_from({**coordinates, **changes}, map_of(RoadSettings()))
+
+
+def place_of(
+    fixed: dict[str, float], bounds: dict[str, tuple[float, float]], pole: Pole | None = None, **road: object
+) -> Place:
+    """A place beside a level road, which faces +y."""
+    return Place(fixed, bounds, Facing(90.0), map_of(RoadSettings(**road)), pole)
 
 
 def cli(capsys, *words: object) -> tuple[int, str, str]:

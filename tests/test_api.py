@@ -76,7 +76,7 @@ def test_scores_of_one_of_many_and_of_a_judged_mounting_agree(site):
     assert many["detectable_share"][0] == one.detectable_share
     judged = bl.judge_mounting(site, height_m=3.0, tilt_x_deg=10.0)
     assert judged.result["objective"] == one.objective
-    columns = {"height_m": [3.0, 4.0], "tilt_x_deg": [10.0, site.scenario.baseline.as_table()["tilt_x_deg"]]}
+    columns = {"height_m": [3.0, 4.0], "tilt_x_deg": [10.0, site.scenario.lidar.baseline.as_table()["tilt_x_deg"]]}
     np.testing.assert_array_equal(rows_of(bl.score_mountings(site, columns))["objective"], many["objective"])
     assert bl.score_mounting(site, height_m=3.0, tilt_x_deg=10.0, held_out=True).objective != one.objective
 
@@ -189,7 +189,7 @@ def test_settings_may_be_tables_of_the_scene_file_and_values_of_numpy(tmp_path):
     scene = write_scene(tmp_path, MAPPED)
     tables = {"deployment": {"height_m": np.array([2.0, 3.0])}, "traffic": {"holdout": 0.0}}
     site = bl.load_scene(scene, frame_ids=range(10, 31, 10), seed=np.int64(7), pose_error=None, **tables)
-    assert site.scenario.deployment.bounds["height_m"] == (2.0, 3.0)
+    assert site.scenario.lidar.deployment.places[0].bounds["height_m"] == (2.0, 3.0)
     assert not site.holdout
     assert site.scenario.search.seed == 7
     assert [frame.frame for frame in site.search] == [10, 20, 30]
@@ -198,11 +198,11 @@ def test_settings_may_be_tables_of_the_scene_file_and_values_of_numpy(tmp_path):
 def test_a_scene_may_be_given_as_its_tables(tmp_path):
     scene = write_scene(tmp_path, MAPPED)
     tables = load_scenario(scene).as_tables()
-    tables["deployment"]["height_m"] = np.array([2.0, 3.0])
+    tables["lidar"][0]["height_m"] = np.array([2.0, 3.0])
     site = bl.load_scene(tables, workers=1)
     assert site.identity == bl.load_scene(scene, deployment={"height_m": [2.0, 3.0]}, workers=1).identity
     with pytest.raises(InputError, match=r"^load_scene: deployment: height_m: is \[3, 2\]; allowed: the lower"):
-        bl.load_scene(tables | {"deployment": {"height_m": (3, 2)}})
+        bl.load_scene({"traffic": tables["traffic"], "deployment": {"height_m": (3, 2)}})
     with pytest.raises(InputError, match=r"^load_scene: traffic: path: is missing"):
         bl.load_scene({})
 

@@ -126,7 +126,7 @@ def test_evaluate_of_the_answer_prints_its_numbers(runs, tmp_path, capsys):
 
 def test_figures_are_those_of_each_installation_alone(runs):
     result, site = stored(runs / "shaken"), prepare(load_scenario(runs / "scene.toml"))
-    layout = (site.scenario.mounting(result["deployment"]),)
+    layout = (site.scenario.lidar.mounting(result["deployment"]),)
     evaluator, installers = site_evaluator(site, site.holdout), site.scenario.installers
 
     def shares(plan, errors):
@@ -160,7 +160,7 @@ def test_a_baseline_that_hangs_already_is_not_shaken(runs, tmp_path, capsys):
 
 def test_the_answer_is_no_worse_as_hung_than_the_one_that_was_searched_as_planned(runs):
     shaken, exact, site = stored(runs / "shaken"), stored(runs / "exact"), prepare(load_scenario(runs / "scene.toml"))
-    layouts = [(site.scenario.mounting(one["deployment"]),) for one in (shaken, exact)]
+    layouts = [(site.scenario.lidar.mounting(one["deployment"]),) for one in (shaken, exact)]
     many = np.random.default_rng(0).uniform(-1.0, 1.0, (200, 1, 4)) * np.array(site.scenario.installers[0].half_widths)
     evaluator = site_evaluator(site, site.search)
     hung = [evaluator.totals([installed_layout(one, error) for error in many]).objective.sum(axis=1) for one in layouts]
@@ -249,7 +249,7 @@ def optimised(site, folder: Path, **how):
 def given(site, result, folder: Path):
     """The result of the same mountings, evaluated."""
     run = RunFolder(folder)
-    rows = zip(site.scenario.each, result["lidars"], strict=True)
+    rows = zip(site.scenario.lidars, result["lidars"], strict=True)
     layout = tuple(one.mounting(row["deployment"]) for one, row in rows)
     with run.begun():
         return evaluate_site(site, run, layout)

@@ -179,7 +179,7 @@ def test_the_best_that_lie_apart_begin_with_the_best():
 def test_cells_of_a_metrics_own_grow_with_thinned_beams(metric, tmp_path):
     site = prepare(load_scenario(write_scene(tmp_path), {("objective", "metric"): (metric, "here")}))
     layouts = [
-        (site.scenario.mounting({"height_m": h, "tilt_x_deg": t}),) for h in (2.5, 4.4) for t in (2.0, 10.0, 20.0)
+        (site.scenario.lidar.mounting({"height_m": h, "tilt_x_deg": t}),) for h in (2.5, 4.4) for t in (2.0, 10.0, 20.0)
     ]
     with Evaluator(site.search, site.observation, site.scoring) as evaluator:
         full = evaluator.totals(layouts).per_vehicle()

@@ -163,7 +163,7 @@ def test_another_place_model_or_metric_leaves_open_what_the_file_left_open(tmp_p
         setattr(lidar.blender_lidar, f"{key}_on", True)
     given = {("sensor", "name"): ("VLP-16", "--sensor"), ("objective", "metric"): ("detectable", "--metric")}
     line = load_scenario(path, given)
-    assert scenario().sensor.range_noise_m == line.sensor.range_noise_m != before.sensor.range_noise_m
+    assert scenario().lidar.sensor.range_noise_m == line.lidar.sensor.range_noise_m != before.lidar.sensor.range_noise_m
     assert scenario().objective == line.objective != before.objective
     assert scenario().search.seeds == 3 != before.search.seeds
 
@@ -302,7 +302,7 @@ def test_vehicles_that_are_left_out_are_neither_there_nor_counted(tmp_path):
     counted = session.live_frame(scene, lidar).frame
     out = int(counted.vehicle_id[counted.counted][0])
     scene.blender_lidar.traffic.leave_out = f"{out}"
-    assert scenarios.scenario_from(scene).traffic.leave_out == (out,)
+    assert scenarios.scenario_from(scene).recordings[0].leave_out == (out,)
     assert set(session.vehicles_of(scene).vehicle_id) == set(ids) - {out}
     assert bpy.ops.blender_lidar.scan() == {"FINISHED"}
     assert lidar.blender_lidar.vehicles == before - 1

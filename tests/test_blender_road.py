@@ -11,7 +11,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from blender_lidar.road.road_map import Junction, Lane, RoadMap
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.blender.objects import frame_of
 from blender_lidar.world.blender.road import build_road
@@ -21,7 +21,7 @@ from tests.test_road_map import arc
 
 pytestmark = pytest.mark.versions
 
-FLAT = StraightRoad().surface
+FLAT = RoadSettings().surface
 HALF_M, WIDTH_M, CYCLE_M, WALK_M, ARM_M = 12.0, 3.25, 1.8, 2.5, 150.0
 SIDE = {"vehicles": (0.5 * WIDTH_M, 1.5 * WIDTH_M), "bicycles": (7.4,), "pedestrians": (9.55,)}  # from the middle line
 LANE_M = {"vehicles": WIDTH_M, "bicycles": CYCLE_M, "pedestrians": WALK_M}
@@ -214,7 +214,7 @@ def test_cameras_look_at_the_junction_and_a_picture_shows_the_roads(scene, tmp_p
         away = np.array([0.0, 0.0]) - camera[:2, 3]
         assert -camera[:2, 2] @ away > 0.7 * np.hypot(*away)
     pictures = []
-    for row, road in enumerate((crossing(), road_map(StraightRoad()))):
+    for row, road in enumerate((crossing(), map_of(RoadSettings()))):
         build_scene(scene, replace(moment(cloud=False, scenery=None), road=road, pose=pose))
         render_picture(tmp_path / f"{row}.png", scene, "From above", size=(96, 54), samples=2)
         image = bpy.data.images.load(str(tmp_path / f"{row}.png"))

@@ -18,7 +18,7 @@ bpy = pytest.importorskip("bpy")
 
 from blender_lidar.errors import InputError, MissingFileError, OutputError
 from blender_lidar.road.road_map import wrap_angle
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.traffic import Recording, RepairReport
 from blender_lidar.traffic.boxes import corners_of, detected_boxes
@@ -513,7 +513,7 @@ def test_both_cameras_look_at_the_road(scene, pose):
             assert looks[2] < 0.0  # and down
 
 
-CROWN_ALONE = road_surface(road_map(StraightRoad(crown_percent=2.0)), (0.0, 0.0), 50.0)
+CROWN_ALONE = road_surface(map_of(RoadSettings(crown_percent=2.0)), (0.0, 0.0), 50.0)
 
 
 @pytest.mark.parametrize("nothing", [None, CROWN_ALONE], ids=["no scenery", "a crown alone"])

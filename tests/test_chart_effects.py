@@ -212,7 +212,10 @@ def test_what_the_scene_has_is_left_out_once_and_both_sides_draw_the_same(key, t
     assert len(ours) == 1
     for draw, (without, having) in enumerate(ours[0].pairs, start=1):
         left_out, there = (one.changed(noisy) for one in (without, having))
-        assert (left_out.scenario.sensor.unit_spread_deg, left_out.observation.lidar.imperfections.seed) == (0.1, draw)
+        assert (left_out.scenario.lidar.sensor.unit_spread_deg, left_out.observation.lidar.imperfections.seed) == (
+            0.1,
+            draw,
+        )
         assert getattr(left_out.observation.lidar.imperfections, key) == 0.0
         assert getattr(there.observation.lidar.imperfections, key) == 0.2
         assert there.observation.lidar.imperfections.seed == draw

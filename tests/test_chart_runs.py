@@ -71,7 +71,7 @@ def test_every_fidelity_is_timed_in_every_round_on_every_frame(site):
 def test_candidates_lie_between_the_bounds_and_the_seed_moves_them(site):
     first = sobol_candidates(site.scenario, 32)
     assert (first.variables, len(first.layouts)) == (("height_m", "tilt_x_deg"), 33)
-    assert first.layouts[0] == (site.scenario.baseline,)
+    assert first.layouts[0] == (site.scenario.lidar.baseline,)
     assert ((first.points >= [2.0, 0.0]) & (first.points <= [4.5, 25.0])).all()
     other = replace(site.scenario, search=replace(site.scenario.search, seed=7))
     assert not np.allclose(sobol_candidates(other, 32).points, first.points)

@@ -7,7 +7,7 @@ import pytest
 
 from blender_lidar.casting.exact import ExactCaster
 from blender_lidar.detection.judge import sensor_at
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring import frame_scorer
@@ -16,7 +16,7 @@ from tests.small_scene import CASTER
 
 pytestmark = pytest.mark.versions
 
-ROAD = road_map(StraightRoad())
+ROAD = map_of(RoadSettings())
 AT_ZERO = [((0.0, 0.0), (0.0, 0.0))]
 
 
@@ -117,7 +117,7 @@ def sites():
 
 
 def test_clutter_takes_returns_from_vehicles_and_gives_none_to_any(sites):
-    mount = sites[0].scenario.baseline
+    mount = sites[0].scenario.lidar.baseline
     returns = []
     for site in sites:
         clouds = [sensor_at(site, mount).scan(frame) for frame in site.search]
@@ -133,7 +133,7 @@ def test_walkers_return_as_no_vehicle_where_they_are_at_the_time_of_the_frame(si
     site = sites[1]
     returns = []
     for frame in site.search[:3]:
-        cloud = sensor_at(site, site.scenario.baseline).scan(frame)
+        cloud = sensor_at(site, site.scenario.lidar.baseline).scan(frame)
         standing = site.observation.scenery.at(frame.time_s).with_walkers
         for row in np.flatnonzero(np.isin(standing.names, ["pedestrian", "cyclist"])):
             corners = standing.corners[standing.owner == row].reshape(-1, 3)
@@ -148,7 +148,7 @@ def test_scores_see_vehicles_behind_clutter_and_walkers_as_clouds_do(compiled, s
     if not compiled:
         monkeypatch.setattr(frame_scorer, "numba_works", lambda: False)
     site = sites[1]
-    mount = site.scenario.baseline
+    mount = site.scenario.lidar.baseline
     for frame in site.search[:3]:
         cloud = sensor_at(site, mount).scan(frame)
         expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicle_id[frame.counted]]

@@ -331,7 +331,7 @@ def test_clouds_of_a_moving_lidar_are_refused():
 
 def test_on_a_road_that_lies_higher_a_lidar_hangs_as_high_above_it(tmp_path):
     site = prepare(load_scenario(write_form(tmp_path, USUAL | {"road": "heights"})))
-    planned = site.scenario.mounting({"height_m": 4.0})
+    planned = site.scenario.lidar.mounting({"height_m": 4.0})
     points, mounting = hung("OS1-64")
     hangs = hung_mounting(site, planned, commission([points], ["cloud"]).fit)
     assert planned.pose.height_m > 5.5  # the road lies some 2 m above z = 0 here
@@ -350,7 +350,7 @@ def run_of_two(tmp_path_factory):
     few = ["--frames", "6", "--particles", "6", "--iterations", "4", "--search", "de-pso"]
     assert main(["optimise", "i80", "--sensor", "RS-32", *few, "--out", str(folder / "run")]) == 0
     scenario = load_scenario(folder / "run" / "scene.toml")
-    planned = scenario.mounting(json.loads((folder / "run" / "result.json").read_text())["deployment"])
+    planned = scenario.lidar.mounting(json.loads((folder / "run" / "result.json").read_text())["deployment"])
     site = prepare(scenario, (planned,))
     hangs = changed_mounting(
         planned,
@@ -422,8 +422,8 @@ def test_what_it_writes_is_read_again(run_of_two, tmp_path, capsys):
         for key, value in keys.items()
     }
     scenario = load_scenario("i80", scene_of)
-    assert scenario.sensor.name == "RS-32"
-    found = scenario.deployment.spaces[0].layout([])[0].as_table()
+    assert scenario.lidar.sensor.name == "RS-32"
+    found = scenario.lidar.deployment.spaces[0].layout([])[0].as_table()
     for key in ("height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"):
         assert found[key] == pytest.approx(pose[key], abs=1e-3)
 
@@ -476,7 +476,7 @@ def test_beside_a_plan_detectable_shares_count_boxes_whatever_these_weigh():
             },
         )
     )
-    planned = site.scenario.mounting({"height_m": 4.5, "tilt_x_deg": 23.0})
+    planned = site.scenario.lidar.mounting({"height_m": 4.5, "tilt_x_deg": 23.0})
     known = {"height_m": 4.5, "tilt_x": math.radians(23.0), "tilt_y": 0.0}
     fit = SimpleNamespace(
         pose=Pose(0.0, 0.0, 4.5, math.radians(23.0), 0.0, 0.0),

@@ -49,8 +49,8 @@ def test_every_block_judges_what_was_chosen_without_it(tmp_path, capsys, monkeyp
     heights = np.unique(RunFolder(tmp_path / "r").read_columns()["height_m"])
     plan, labels = site.plan, np.unique(site.plan.search_block)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        layouts = [(site.scenario.mounting({"height_m": height, "tilt_x_deg": 15.0}),) for height in heights]
-        layouts = [*layouts, (site.scenario.baseline,)]
+        layouts = [(site.scenario.lidar.mounting({"height_m": height, "tilt_x_deg": 15.0}),) for height in heights]
+        layouts = [*layouts, (site.scenario.lidar.baseline,)]
         searched, held = evaluator.totals(layouts), evaluator.held_out.totals(layouts)
     aside = 1 if len(labels) >= FEW_BLOCKS else 0
     gained, vehicles, seen = [], [], 0

@@ -31,7 +31,7 @@ def site_of(folder, origin=(0.0, 0.0), heading=0.0, changes=None):
 def test_place_and_bearings_are_those_of_the_recording(tmp_path, heading):
     origin = (512_345.25, 5_403_112.5)
     site = site_of(tmp_path, origin, heading)
-    at = pointing(site, site.scenario.mounting({"x_m": 3.0, "y_m": -1.0, "tilt_x_deg": 10.0}))
+    at = pointing(site, site.scenario.lidar.mounting({"x_m": 3.0, "y_m": -1.0, "tilt_x_deg": 10.0}))
     turn = complex(math.cos(math.radians(heading)), math.sin(math.radians(heading)))
     place = complex(*origin) + complex(3.0, -1.0) * turn
     assert (at["x_m"], at["y_m"]) == pytest.approx((place.real, place.imag), abs=1e-6)
@@ -44,7 +44,7 @@ def test_place_and_bearings_are_those_of_the_recording(tmp_path, heading):
 
 def test_an_upright_sensor_leans_nowhere(tmp_path):
     site = site_of(tmp_path)
-    at = pointing(site, site.scenario.mounting({"tilt_x_deg": 0.0}))
+    at = pointing(site, site.scenario.lidar.mounting({"tilt_x_deg": 0.0}))
     assert (at["leans"], at["lean_bearing_deg"]) == (None, None)
 
 
@@ -56,7 +56,7 @@ def test_words_agree_with_the_pose_on_either_side_of_the_road(tmp_path, y_m, fac
     for tilt_x in (-20.0, -5.0, 5.0, 20.0):
         for tilt_y in (-15.0, 0.0, 15.0):
             place = {"x_m": 30.0, "y_m": y_m, "facing_deg": facing, "tilt_x_deg": tilt_x, "tilt_y_deg": tilt_y}
-            mounting = site.scenario.mounting(place)
+            mounting = site.scenario.lidar.mounting(place)
             axis = mounting.pose.to_world(np.array([[0.0, 0.0, 1.0]]))[0]
             across, words = to_road * axis[1], pointing(site, mounting)["leans"]
             to_middle = np.subtract(site.region.centre_xy, mounting.xy)
@@ -108,7 +108,7 @@ def driven(folder, **traffic):
 
 def test_on_a_driven_area_place_and_bearings_are_those_of_the_recording(tmp_path):
     site = driven(tmp_path, origin_m=[1000.0, 500.0], heading_deg=30.0)
-    at = pointing(site, site.scenario.baseline)
+    at = pointing(site, site.scenario.lidar.baseline)
     assert (at["x_m"], at["y_m"]) == pytest.approx((1017.62, 517.68), abs=0.01)
     to_middle = math.degrees(math.atan2(1000.0 - at["x_m"], 500.0 - at["y_m"])) % 360.0  # clockwise from +y
     assert at["facing_bearing_deg"] == pytest.approx(to_middle, abs=1e-6)
@@ -128,6 +128,6 @@ def test_a_driven_area_has_no_lane_to_lean_along(tmp_path):
 def test_x_alone_faces_the_middle_from_where_the_mast_then_stands(tmp_path):
     scenario = driven(tmp_path).scenario
     for given in ({"x_m": 30.0}, {"y_m": 9.0}, {"x_m": 30.0, "y_m": 9.0}):
-        mounting = scenario.mounting(given)
+        mounting = scenario.lidar.mounting(given)
         x, y = mounting.xy
         assert math.remainder(mounting.mast.facing_rad - math.atan2(-y, -x), math.tau) == pytest.approx(0.0, abs=1e-9)

@@ -35,12 +35,12 @@ SCENES = sorted((ROOT / "scenes").glob("*.toml"))
 @pytest.mark.parametrize("scene", SCENES, ids=lambda path: path.name)
 def test_a_shipped_scene_can_be_read_and_its_traffic_is_there(scene):
     scenario = load_scenario(scene)
-    assert Path(scenario.traffic.path).is_file()
+    assert Path(scenario.recordings[0].path).is_file()
 
 
 def test_a_shipped_scene_is_found_by_its_name_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert Path(load_scenario("i80").traffic.path).is_file()
+    assert Path(load_scenario("i80").recordings[0].path).is_file()
     shipped = "there is no such file; .*: crossing, crossing_two, i80, paper$"
     with pytest.raises(MissingFileError, match=f"^i81: {shipped}"):
         load_scenario("i81")
@@ -49,7 +49,7 @@ def test_a_shipped_scene_is_found_by_its_name_from_any_folder(tmp_path, monkeypa
     ):
         load_scenario("scenes/i80.toml")
     (tmp_path / "i80").mkdir()  # a folder of results called so hides no scene
-    assert Path(load_scenario("i80").traffic.path).is_file()
+    assert Path(load_scenario("i80").recordings[0].path).is_file()
     (tmp_path / "results").mkdir()
     with pytest.raises(InputError, match="results: is a folder"):
         load_scenario("results")
@@ -67,7 +67,7 @@ def test_the_distribution_lists_every_package_and_the_citation_its_version():
 
 def test_the_paper_scene_holds_the_papers_settings():
     scenario = load_scenario(ROOT / "scenes" / "paper.toml")
-    assert dict(scenario.deployment.bounds) == {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
+    assert dict(scenario.lidar.deployment.places[0].bounds) == {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
     search = scenario.search
     assert (search.particles, search.iterations) == (20, 100)
     assert (search.inertia, search.differential_weight, search.cognitive, search.social) == (0.7, 0.5, 0.3, 0.2)
@@ -77,7 +77,7 @@ def test_the_paper_scene_holds_the_papers_settings():
     gates = {}
     for sensor in ("RS-16", "RS-32", "RS-80"):
         overrides = {("sensor", "name"): (sensor, "--sensor")}
-        gates[sensor] = load_scenario(ROOT / "scenes" / "paper.toml", overrides).sensor.range_gate_m
+        gates[sensor] = load_scenario(ROOT / "scenes" / "paper.toml", overrides).lidar.sensor.range_gate_m
     assert gates == {"RS-16": 50.0, "RS-32": 80.0, "RS-80": 150.0}  # Table I
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from blender_lidar.detection.judge import sensor_at
-from blender_lidar.road import StraightRoad
-from blender_lidar.road.straight import road_map
+from blender_lidar.road import RoadSettings
+from blender_lidar.road.settings import map_of
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.settings import TrafficSettings
 from blender_lidar.scene.site import prepare, read_recording, read_recordings
@@ -132,8 +132,8 @@ def test_a_vehicle_stays_itself_whatever_else_there_is(recordings):
 
 def test_the_seed_and_the_recording_count():
     base = scenario(1.0)
-    twice = replace(base, further_traffic=(replace(base.traffic, name="again"),))
-    assert isinstance(twice.further_traffic[0], TrafficSettings)
+    twice = replace(base, recordings=(*base.recordings, replace(base.recordings[0], name="again")))
+    assert isinstance(twice.recordings[1], TrafficSettings)
     first, second = read_recordings(twice)
     assert (first.size_m[:, 2] != second.size_m[:, 2]).mean() > 0.9
     np.testing.assert_array_equal(first.size_m, read_recording(base).size_m)
@@ -187,7 +187,7 @@ def test_scores_see_the_same_bodies_as_clouds(compiled, sites, monkeypatch):
     if not compiled:
         monkeypatch.setattr(frame_scorer, "numba_works", lambda: False)
     site = sites[1]
-    mounting = site.scenario.mounting({"height_m": 4.0, "tilt_x_deg": 15.0})
+    mounting = site.scenario.lidar.mounting({"height_m": 4.0, "tilt_x_deg": 15.0})
     shown = set()
     for frame in site.search[:3]:
         shown |= set(shape_names(frame).tolist())
@@ -201,7 +201,7 @@ def test_scores_see_the_same_bodies_as_clouds(compiled, sites, monkeypatch):
 # --- traffic made lighter, denser and heavier -------------------------------------------------------------------------
 
 
-ROAD = StraightRoad()
+ROAD = RoadSettings()
 COPIES_FROM = 10_000
 
 
@@ -231,7 +231,7 @@ def queue(vehicles, change=lambda gaps: gaps, **settings):
         settings.pop("lengths_m", vehicles.size_m[:, 0]),
         change,
         anchor_m=settings.pop("anchor_m", 0.0),
-        road=road_map(ROAD),
+        road=map_of(ROAD),
         copies_from=COPIES_FROM,
         **settings,
     )

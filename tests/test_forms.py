@@ -27,7 +27,7 @@ from blender_lidar.run import what_if
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.scene.mounting import COORDINATES, Layout
 from blender_lidar.scene.scenario import load_scenario, scenario_of
-from blender_lidar.scene.site import Site, prepare
+from blender_lidar.scene.site import Site, lidars_of, prepare
 from blender_lidar.world.meshes import BUILDING, ROAD
 from tests.forms import BOX, FACTORS, NO_ROAD_HAS, REFUSED, USUAL, covering, house_of, write_form
 from tests.small_scene import CASTER, cli, without_charts, without_times
@@ -146,7 +146,9 @@ def test_forms_that_do_not_go_together_are_refused_in_one_line(pair, tmp_path):
 def test_a_scene_written_out_is_the_scene(formed):
     again = scenario_of(formed.scenario.with_whole_paths())
     assert again.as_tables() == formed.scenario.as_tables() | {"traffic": again.as_tables()["traffic"]}
-    assert (formed.folder / "scene.toml").exists()
+    assert again.lidars == formed.scenario.lidars
+    keys = [[(one.key, one.max_range_m) for one in lidars_of(of)] for of in (again, formed.scenario)]
+    assert keys[0] == keys[1]  # of all draws
 
 
 def told_of(run: RunFolder) -> dict[str, object]:

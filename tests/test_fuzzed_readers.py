@@ -124,7 +124,7 @@ def test_damaged_scenes(tmp_path):
     sample = write_scene(tmp_path, changes).read_bytes()
 
     def check(scenario):
-        for low, high in scenario.deployment.bounds.values():
+        for low, high in scenario.lidar.deployment.places[0].bounds.values():
             assert -1e6 < low < high < 1e6
 
     assert fuzz(load_scenario, tmp_path / "scene.toml", sample, check)
@@ -217,7 +217,7 @@ class StopsAfter:
 
 def test_damaged_checkpoints(tmp_path):
     scenario, folder = load_scenario(write_scene(tmp_path, MAPPED)), RunFolder(tmp_path)
-    (space,) = scenario.deployment.spaces
+    (space,) = scenario.lidar.deployment.spaces
     score = partial(np.sum, axis=1)
     with pytest.raises(Stopped):
         Replay(folder, {"seed": 1}, resume=False).carry_out(fresh_search(scenario, space), score, StopsAfter(8))

@@ -72,19 +72,19 @@ HUNG = {"height_m": 4.0, "tilt_x_deg": 12.0}
 
 def cloud_of(scenario, frame, **hung):
     vehicles = next(one for one in prepare(scenario).search if one.frame >= frame)
-    return mounted_sensors(scenario, (scenario.mounting({**HUNG, **hung}),))[0].scan(vehicles)
+    return mounted_sensors(scenario, (scenario.lidar.mounting({**HUNG, **hung}),))[0].scan(vehicles)
 
 
 def totals(scenario, **hung):
     one = prepare(scenario)
-    layout = (scenario.mounting({**HUNG, **hung}),)
+    layout = (scenario.lidar.mounting({**HUNG, **hung}),)
     return one, Evaluator(one.search, one.observation, one.scoring).totals([layout])
 
 
 def test_a_mast_and_the_vehicles_stand_on_the_slope(tmp_path):
     scenario = scene(tmp_path, SLOPE)
     site = prepare(scenario)
-    mounting = scenario.mounting(HUNG)
+    mounting = scenario.lidar.mounting(HUNG)
     assert mounting.mast.foot_m[2] == pytest.approx(62.0, abs=1e-6)
     assert mounting.pose.position[2] == pytest.approx(66.0, abs=1e-6)
     for frame in site.search:
@@ -148,7 +148,7 @@ def test_level_boxes_on_a_slope_of_six_per_cent_score_nearly_as_pitched_ones(tmp
     (tmp_path / "level").mkdir()
     scenario = scene(tmp_path / "level", LEVEL)
     level = prepare(scenario)
-    mounting = scenario.mounting({**HUNG, "tilt_y_deg": math.degrees(math.atan(RISE))})
+    mounting = scenario.lidar.mounting({**HUNG, "tilt_y_deg": math.degrees(math.atan(RISE))})
     pitched = Evaluator(level.search, level.observation, level.scoring).totals([(mounting,)])
     assert slope.objective == pytest.approx(pitched.objective, rel=0.25)
     assert one.scenario.road_map.surface.is_flat is False
@@ -169,7 +169,7 @@ def test_chart_and_stability_can_level_the_road_and_a_level_road_has_no_such_row
     (tmp_path / "level").mkdir()
     (site, sloped), (flat, level) = totals(scene(tmp_path, SLOPE)), totals(scene(tmp_path / "level", LEVEL))
     ((without, own),) = next(one.pairs for one in ablations(site, 1) if one.what == "heights")
-    layout = (site.scenario.mounting(HUNG),)
+    layout = (site.scenario.lidar.mounting(HUNG),)
     made = without.changed(site)
     found = Evaluator(made.search, made.observation, made.scoring).totals([layout])
     np.testing.assert_allclose(found.objective, level.objective, atol=1e-9)

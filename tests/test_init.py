@@ -15,7 +15,7 @@ import pytest
 from blender_lidar.cli import main
 from blender_lidar.commands.init import _path, _road_lines, _text
 from blender_lidar.errors import InputError
-from blender_lidar.road import StraightRoad
+from blender_lidar.road import RoadSettings
 from blender_lidar.scene.provenance import run_identity
 from blender_lidar.scene.scenario import load_scenario, shipped_scenes
 from blender_lidar.scene.site import prepare, read_recording
@@ -27,7 +27,7 @@ from tests.small_scene import CASTER, HEADER, traffic_rows, without_charts, writ
 
 FOOT_M = 0.3048
 NGSIM = Path(__file__).parents[2] / "shared" / "data" / "ngsim"
-UNPLACED = StraightRoad(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
+UNPLACED = RoadSettings(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
 
 
 def proposed(path, **settings):
@@ -74,7 +74,7 @@ def across_of(layout, heading_deg, at=(500.0, -200.0)):
     """The right edge and the lane centres that a layout says, measured to the left of a line through `at`."""
     turn = math.radians(heading_deg)
     left = np.array([-math.sin(turn), math.cos(turn)])
-    line = float((np.array(layout.placing.origin_m) - at) @ left)
+    line = float((np.array(layout.origin_m) - at) @ left)
     road = layout.road
     edge = line + road.setback_m
     return edge, edge + road.lane_width_m * (np.arange(road.lanes) + 0.5)
@@ -84,12 +84,12 @@ def across_of(layout, heading_deg, at=(500.0, -200.0)):
 def test_lanes_and_edge_of_a_straight_road_are_found_whatever_its_heading(tmp_path, heading):
     lanes = [3.5 * (number + 0.5) for number in range(3)]
     layout = proposed(write_rows(tmp_path / "run.fcd.xml", rows_on(heading, lanes)))
-    assert layout.placing.heading_deg == pytest.approx(heading, abs=0.5)
+    assert layout.heading_deg == pytest.approx(heading, abs=0.5)
     edge, centres = across_of(layout, heading)
     assert edge == pytest.approx(0.0, abs=1.0)
     assert centres == pytest.approx(lanes, abs=0.5)
     assert layout.lane_numbers == (1, 2, 3)
-    assert abs(layout.placing.origin_m[0] - 500.0) < 100.0
+    assert abs(layout.origin_m[0] - 500.0) < 100.0
 
 
 def test_lanes_are_found_without_lane_numbers_and_one_that_nobody_uses_counts(tmp_path):
@@ -115,11 +115,11 @@ def test_at_an_intersection_the_busiest_approach_is_proposed_and_the_others_are_
     for heading, every_s in ((10.0, 2.0), (190.0, 8.0), (100.0, 5.0), (280.0, 9.0)):
         rows += rows_on(heading, (-5.25, -1.75), every_s=every_s, seed=int(heading))
     layout = proposed(write_rows(tmp_path / "run.fcd.xml", rows))
-    assert layout.placing.heading_deg == pytest.approx(10.0, abs=0.5)
+    assert layout.heading_deg == pytest.approx(10.0, abs=0.5)
     edge, centres = across_of(layout, 10.0)
     assert edge == pytest.approx(-7.0, abs=1.0)
     assert centres == pytest.approx([-5.25, -1.75], abs=0.5)
-    along = (np.array(layout.placing.origin_m) - (500.0, -200.0)) @ (math.cos(0.1745), math.sin(0.1745))
+    along = (np.array(layout.origin_m) - (500.0, -200.0)) @ (math.cos(0.1745), math.sin(0.1745))
     assert -60.0 < along < -7.0  # before the crossing, and not on it
     message = " ".join(layout.notes)
     assert "an intersection?" in message
@@ -223,8 +223,8 @@ def test_both_carriageways_and_the_side_that_is_driven_on_are_found(form, headin
     assert (road.drives_on, road.carriageways, road.lanes) == (side, 2, 2)
     assert road.lane_width_m == pytest.approx(WIDE_M, abs=0.2)
     assert road.median_m == pytest.approx(MEDIAN_M, abs=0.5)
-    assert layout.placing.heading_deg == pytest.approx(heading if side == "right" else -heading, abs=0.5)
-    turn, middle = math.radians(layout.placing.heading_deg), (500.0, -200.0 if side == "right" else 200.0)
+    assert layout.heading_deg == pytest.approx(heading if side == "right" else -heading, abs=0.5)
+    turn, middle = math.radians(layout.heading_deg), (500.0, -200.0 if side == "right" else 200.0)
     off = (np.array(layout.pole_m) - middle) @ (-math.sin(turn), math.cos(turn))
     kerb = KERB_M[0] + 0.5 * WIDE_M + road.setback_m
     assert off == pytest.approx(-kerb if side == "right" else kerb, abs=0.3)
@@ -295,7 +295,7 @@ def test_a_pole_never_stands_where_a_vehicle_is(tmp_path):
         for time in np.arange(0.0, 60.0, 0.5):
             rows.append(sumo_samples.row(time, id=f"parked.{number}", x=x, y=-202.0, lane="road_9"))
     layout = proposed(write_rows(tmp_path / "run.fcd.xml", rows))
-    x, y = layout.placing.origin_m
+    x, y = layout.origin_m
     assert 497.0 < x < 516.0 or y < -204.5
     assert across_of(layout, 0.0)[0] == pytest.approx(0.0, abs=1.0)
 
@@ -342,7 +342,7 @@ def test_a_scene_from_a_table_loads_and_runs_at_once(tmp_path, monkeypatch, caps
     assert 'path = "traffic.csv"' in (folder / "scene.toml").read_text()
     assert scenario.road.lanes == 2
     assert scenario.road.lane_width_m == pytest.approx(3.5, abs=0.1)
-    assert scenario.traffic.origin_m[1] == pytest.approx(0.0, abs=1.0)
+    assert scenario.recordings[0].origin_m[1] == pytest.approx(0.0, abs=1.0)
     how = ("--frames", 3, "--caster", CASTER, "--detail", "box", "--workers", 1)
     assert run("evaluate", folder / "scene.toml", "--height", 4, *how, "--out", tmp_path / "given") == 0
     if CASTER != "exact":  # which takes long
@@ -396,8 +396,8 @@ def test_a_sumo_scene_holds_the_files_that_were_given(tmp_path, monkeypatch):
     types.write_text('<routes><vType id="car" vClass="passenger"/></routes>')
     assert run("init", tmp_path / "site", "--from", "sumo", run_xml, "--vehicle-types", types) == 0
     scenario = load_scenario(tmp_path / "site" / "scene.toml")
-    assert Path(scenario.traffic.path) == run_xml
-    assert scenario.traffic.vehicle_types == (str(types),)
+    assert Path(scenario.recordings[0].path) == run_xml
+    assert scenario.recordings[0].vehicle_types == (str(types),)
     assert scenario.region.stretches[0].x_m == (-50.0, 50.0)
 
 
@@ -411,12 +411,12 @@ def test_a_sumo_configuration_gives_recording_and_types_or_says_how_to_write_the
     config.write_text(f'<configuration><route-files value="cars.rou.xml,lorries.rou.xml"/>{named}</configuration>')
     assert run("init", tmp_path / "site", config) == 0
     scenario = load_scenario(tmp_path / "site" / "scene.toml")
-    assert Path(scenario.traffic.path) == run_xml
+    assert Path(scenario.recordings[0].path) == run_xml
     types = tuple(str(tmp_path / f"{name}.rou.xml") for name in ("cars", "lorries"))
-    assert scenario.traffic.vehicle_types == types
+    assert scenario.recordings[0].vehicle_types == types
     again = tmp_path / "again.toml"
     again.write_text(to_toml(scenario.with_whole_paths()))
-    assert load_scenario(again).traffic == scenario.traffic
+    assert load_scenario(again).recordings[0] == scenario.recordings[0]
     digests = run_identity(scenario, "exact")
     (tmp_path / "lorries.rou.xml").write_text('<routes><vType id="lorries" vClass="truck"/></routes>')
     changed = run_identity(scenario, "exact")
@@ -470,7 +470,7 @@ def test_a_table_that_blender_cannot_read_is_written_as_one_that_it_can(tmp_path
     foreign.write_text(path.read_text().replace(",", ";").replace(".", ","), encoding="utf-16")
     assert run("init", tmp_path / "plain", path) == run("init", tmp_path / "site", foreign) == 0
     plain, made = (load_scenario(tmp_path / name / "scene.toml") for name in ("plain", "site"))
-    assert (Path(made.traffic.path).name, made.traffic.format) == ("traffic.csv", "table")
+    assert (Path(made.recordings[0].path).name, made.recordings[0].format) == ("traffic.csv", "table")
     monkeypatch.setitem(sys.modules, "pandas", None)
     np.testing.assert_array_equal(read_recording(made).centre_m, read_recording(plain).centre_m)
     assert read_recording(made).report == read_recording(plain).report

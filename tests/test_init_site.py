@@ -16,7 +16,7 @@ import pytest
 from blender_lidar.cli import main
 from blender_lidar.commands import init
 from blender_lidar.road.pole_places import propose_poles
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from tests import sumo_samples
@@ -52,7 +52,7 @@ def poles_of(folder):
 
 
 def test_poles_beside_a_road_with_a_median_stand_on_both_sides_and_on_the_median():
-    road = road_map(StraightRoad(lanes=2, lane_width_m=3.5, carriageways=2, median_m=6.0, setback_m=2.0))
+    road = map_of(RoadSettings(lanes=2, lane_width_m=3.5, carriageways=2, median_m=6.0, setback_m=2.0))
     right, left = road.edges_t
     poles = propose_poles(road, (0.0, 0.5 * (right + left)), 20.0)
     sides = {round(y, 1) for _, x, y in poles}
@@ -255,7 +255,7 @@ def test_straight_roads_are_no_crossings(tmp_path):
     from blender_lidar.traffic import read_traffic
     from blender_lidar.traffic.site_layout import is_crossing
 
-    unplaced = StraightRoad(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
+    unplaced = RoadSettings(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
     rows = []
     for number in range(30):
         way = 1.0 if number % 2 else -1.0

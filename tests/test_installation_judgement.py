@@ -34,7 +34,7 @@ def test_errors_fill_the_installers_box_one_in_each_slice_of_each_coordinate():
 
 def test_a_mounting_hangs_as_planned_then_off_by_each_error_and_at_its_place():
     scenario = scenario_of({"traffic": {"path": str(SCENES / "i80_sample.csv.gz")}})
-    planned = scenario.baseline.as_table() | {"height_m": 3.0, "tilt_x_deg": 10.0}
+    planned = scenario.lidar.baseline.as_table() | {"height_m": 3.0, "tilt_x_deg": 10.0}
     layouts = script.hung(scenario, planned, [dict.fromkeys(script.HALF_WIDTHS, 0.01)])
     (first,), (second,) = ([mounting.as_table() for mounting in layout] for layout in layouts)
     for key in script.MOUNTED:

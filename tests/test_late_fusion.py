@@ -179,7 +179,7 @@ def _scikit_learn():
 def judged_at(folder, *lidars):
     site = prepare(load_scenario(write_layout_scene(folder, *lidars)))
     layout = site.scenario.baselines
-    detectors = [detector_at(one, mount, "classical") for one, mount in zip(site.each, layout, strict=True)]
+    detectors = [detector_at(site.with_lidar(k), mount, "classical") for k, mount in enumerate(layout)]
     return judge_detectors(site, layout, detectors)
 
 
@@ -209,7 +209,7 @@ def test_two_lidars_find_at_least_what_each_finds_and_at_most_what_returns(tmp_p
 def test_early_fusion_of_one_lidar_is_the_detector_itself_and_of_two_clusters_all_points(tmp_path):
     site = prepare(load_scenario(write_layout_scene(tmp_path)))
     detectors, clouds = [], []
-    for one, mount in zip(site.each, site.scenario.baselines, strict=True):
+    for one, mount in zip(map(site.with_lidar, range(2)), site.scenario.baselines, strict=True):
         detector, of = detector_at(one, mount, "classical"), clouds_at(one, mount)
         detector.learn([range_image(detector, of, frame) for frame in site.search])
         detectors.append(detector)

@@ -115,8 +115,8 @@ def test_the_fused_cloud_is_what_each_lidar_measures_alone(scene):
     vehicles = frame_of(read_recording(scenario), FRAME, "frame")
     sensors = mounted_sensors(scenario, scenario.baselines)
     fused = joined_clouds([sensor.scan(vehicles) for sensor in sensors])
-    for number, one in enumerate(scenario.each):
-        alone = mounted_sensors(one, (one.baseline,))[0].scan(vehicles)
+    for number, one in enumerate(map(scenario.with_lidars, scenario.lidars)):
+        alone = mounted_sensors(one, (one.lidar.baseline,))[0].scan(vehicles)
         np.testing.assert_array_equal(fused.xyz[fused.lidar == number], alone.xyz)
         np.testing.assert_array_equal(fused.ring[fused.lidar == number], alone.ring)
         assert not alone.lidar.any()

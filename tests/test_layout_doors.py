@@ -186,10 +186,8 @@ def landscape_of(site, layouts):
 
 def test_a_study_has_each_lidar_on_the_pole_on_which_its_layout_hangs(tmp_path):
     scenario = load_scenario(write_layout(tmp_path, ON_POLES))
-    poles = [{pole.name: pole for pole in one.deployment.poles} for one in scenario.lidars]
     layout = tuple(
-        one.deployment.at(poles[k][name]).mounting([3.0, 10.0])
-        for k, (one, name) in enumerate(zip(scenario.lidars, "BA", strict=True))
+        one.deployment.on_pole(name).mounting([3.0, 10.0]) for one, name in zip(scenario.lidars, "BA", strict=True)
     )
     placed = at_one_place(scenario, layout=layout)
     assert [one.deployment.nominal_xy for one in placed.lidars] == [(8.0, 0.0), (-8.0, 0.0)]
@@ -211,7 +209,7 @@ def test_a_layout_is_scored_fused_and_each_alone_and_is_never_worse_than_its_par
     np.testing.assert_array_equal(points[0] + points[1], points[2])
     assert all(one.detectable_share <= found.detectable_share for one in found.alone.values())
     for name, number in (("left", 0), ("right", 1)):
-        one = site.each[number]
+        one = site.with_lidar(number)
         told = found.mounting[name]
         alone = bl.score_mounting(one, **{key: told[key] for key in ("x_m", "height_m", "tilt_x_deg")})
         assert alone.objective == pytest.approx(found.alone[name].objective)

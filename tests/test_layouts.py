@@ -97,7 +97,7 @@ def test_no_lidar_changes_where_vehicles_count(folder):
 def test_the_layout_found_beats_all_pairs_of_a_coarse_grid_but_for_one_percent(finished):
     site, _, result, _ = finished
     grid = list(itertools.product(np.linspace(2.0, 4.5, 4), np.linspace(0.0, 25.0, 6)))
-    places = site.scenario.deployment.places
+    places = site.scenario.lidars[0].deployment.places
     singles = [(place.pole.name, place.mounting(x)) for place in places for x in grid]
     with site_evaluator(site, site.search) as evaluator:
         base = evaluator.totals([site.scenario.baselines]).objective.sum()
@@ -123,7 +123,7 @@ def test_the_steps_of_a_search_add_one_lidar_each_and_never_lose_on_the_searched
 
 def test_what_each_lidar_adds_is_what_scoring_without_it_says(finished):
     site, _run, result, _ = finished
-    layout = tuple(site.scenario.each[k].mounting(row["deployment"]) for k, row in enumerate(result["lidars"]))
+    layout = tuple(site.scenario.lidars[k].mounting(row["deployment"]) for k, row in enumerate(result["lidars"]))
     judging = Evaluator(site.holdout, site.observation, site.scoring)
     whole, north, south = judging.totals([layout, (layout[0], None), (None, layout[1])]).per_vehicle()
     parts = {row["name"]: row for row in result["layout"]["parts"]}
@@ -165,8 +165,8 @@ def test_each_lidar_has_a_score_map_through_the_layout(finished):
         assert row["map"]["search_shortfall"] is not None
         assert row["map"]["search_shortfall"] <= 0.01
         height, tilt, value = score_map.best
-        layout = [site.scenario.each[k].mounting(one["deployment"]) for k, one in enumerate(result["lidars"])]
-        place = next(p for p in site.scenario.deployment.places if p.pole.name == row["pole"]["name"])
+        layout = [site.scenario.lidars[k].mounting(one["deployment"]) for k, one in enumerate(result["lidars"])]
+        place = next(p for p in site.scenario.lidars[0].deployment.places if p.pole.name == row["pole"]["name"])
         layout[number] = place.mounting([height, tilt])
         with site_evaluator(site, site.search) as evaluator:
             assert value == pytest.approx(float(evaluator.totals([tuple(layout)]).per_vehicle()[0]), abs=0.02)
@@ -200,7 +200,7 @@ def test_a_given_layout_is_judged_beside_the_best_of_its_lidars_alone(folder, tm
     site, run = site_of(folder, on_poles(), on_poles(), on_poles()), RunFolder(tmp_path / "run")
     layout = tuple(
         replace(place.mounting([3.0, 12.0]), height_m=height)
-        for place, height in zip(site.scenario.deployment.places, (2.5, 3.0, 3.5), strict=True)
+        for place, height in zip(site.scenario.lidars[0].deployment.places, (2.5, 3.0, 3.5), strict=True)
     )
     with run.begun():
         result = evaluate_site(site, run, layout)
@@ -279,7 +279,7 @@ def test_lidars_alike_are_searched_once_and_coordinates_are_read_back(folder, tm
 
 def test_two_lidars_judged_are_worth_at_least_each_of_them_in_detectable_vehicles(folder):
     site = site_of(folder, on_poles(), on_poles())
-    layout = tuple(place.mounting([3.5, 15.0]) for place in site.scenario.deployment.places[:2])
+    layout = tuple(place.mounting([3.5, 15.0]) for place in site.scenario.lidars[0].deployment.places[:2])
     with site_evaluator(site, site.search, site.holdout) as evaluator:
         found = judge_layout(site, evaluator, layout, [], searched=False)
     for row in found["parts"]:
@@ -308,7 +308,7 @@ def test_a_search_of_poles_alone_tells_of_each_that_was_tried(folder, tmp_path):
         result = optimise_site(site, run, Nobody())
     layouts = [
         (one.mounting([]), other.mounting([]))
-        for one, other in itertools.permutations(site.scenario.deployment.places, 2)
+        for one, other in itertools.permutations(site.scenario.lidars[0].deployment.places, 2)
     ]
     with site_evaluator(site, site.search) as evaluator:
         best = evaluator.totals(layouts).objective.sum(axis=1).max()

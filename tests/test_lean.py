@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import blender_lidar as bl
 from blender_lidar.errors import InputError
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.scene.mounting import mounting_from
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -109,7 +109,7 @@ def test_angles_that_say_a_lean_in_more_than_one_way_are_refused(tmp_path, capsy
     ],
 )
 def test_angles_that_say_each_lean_once_are_searched(tmp_path, deployment):
-    assert load_scenario(write_scene(tmp_path, {"deployment": deployment})).deployment.spaces[0].variables
+    assert load_scenario(write_scene(tmp_path, {"deployment": deployment})).lidar.deployment.spaces[0].variables
 
 
 def test_a_lean_in_an_option_takes_the_place_of_tilts_in_the_scene(tmp_path, capsys):
@@ -129,7 +129,7 @@ def test_a_scene_of_leans_is_written_searched_and_told_as_such(tmp_path, capsys)
     changes = {"deployment": lean, "baseline": {"lean_deg": 2.0}, "search": {"particles": 6, "iterations": 10}}
     scene = write_scene(tmp_path, changes)
     scenario = load_scenario(scene)
-    (space,) = scenario.deployment.spaces
+    (space,) = scenario.lidar.deployment.spaces
     assert space.periodic == (False, False, True)
     assert space.axes == ("height_m", "lean_deg")
     code, out, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run")
@@ -142,7 +142,7 @@ def test_a_scene_of_leans_is_written_searched_and_told_as_such(tmp_path, capsys)
         lean_matrix(*(math.radians(mount[key] or 0.0) for key in ("lean_deg", "lean_direction_deg", "spin_deg")))
     )
     assert set(result["map"]["best"]) == {"height_m", "lean_deg", "objective_per_vehicle"}
-    assert load_scenario(tmp_path / "run" / "scene.toml").deployment == scenario.deployment
+    assert load_scenario(tmp_path / "run" / "scene.toml").lidar.deployment == scenario.lidar.deployment
     header = (tmp_path / "run" / "history.csv").read_text().splitlines()[0]
     assert "lean_deg,lean_direction_deg" in header
 
@@ -167,7 +167,7 @@ def test_spin_moves_scores_by_no_more_than_the_phase_of_the_columns_does(tmp_pat
 
 def test_what_was_given_is_named_where_it_cannot_be():
     with pytest.raises(InputError, match="row 3: has spin_deg and tilt_y_deg"):
-        mounting_from({"spin_deg": 1.0, "tilt_y_deg": 2.0}, road_map(StraightRoad()), where="row 3")
+        mounting_from({"spin_deg": 1.0, "tilt_y_deg": 2.0}, map_of(RoadSettings()), where="row 3")
 
 
 def test_a_lean_of_nought_keeps_the_direction_that_it_was_given(tmp_path, capsys):

@@ -59,9 +59,9 @@ def site():
 
 def test_a_mast_on_a_map_faces_the_middle_of_the_region_from_where_it_stands(site):
     scenario = site.scenario
-    (place,) = scenario.deployment.places
+    (place,) = scenario.lidar.deployment.places
     assert math.degrees(place.mounting([3.0, 10.0]).mast.facing_rad) == pytest.approx(-135.0)
-    assert scenario.mounting({"x_m": -19.0, "y_m": 19.0}).as_table()["facing_deg"] == pytest.approx(-45.0)
+    assert scenario.lidar.mounting({"x_m": -19.0, "y_m": 19.0}).as_table()["facing_deg"] == pytest.approx(-45.0)
 
 
 def test_the_region_of_a_junction_is_its_area_and_the_last_metres_of_its_approaches(site):
@@ -115,7 +115,7 @@ def test_a_scene_in_utm_scores_as_the_same_scene_at_the_origin(tmp_path):
             "model": {"workers": 1},
         }
         one = prepare(scenario_of(settings))
-        layout = (one.scenario.mounting({"height_m": 3.0, "tilt_x_deg": 10.0}),)
+        layout = (one.scenario.lidar.mounting({"height_m": 3.0, "tilt_x_deg": 10.0}),)
         totals.append(Evaluator(one.search, one.observation, one.scoring).totals([layout]).objective)
     np.testing.assert_array_equal(*totals)
 
@@ -196,7 +196,7 @@ def test_detectors_look_where_vehicles_count_and_find_some(site):
     for frame in (*site.search, *site.holdout):
         xy = frame.centre_m[frame.counted, :2]
         assert ((xy >= low) & (xy <= high)).all()
-    mounting = site.scenario.mounting({"height_m": 5.0, "tilt_x_deg": 12.0})
+    mounting = site.scenario.lidar.mounting({"height_m": 5.0, "tilt_x_deg": 12.0})
     detector = PillarsDetector("RS-16", mounting.pose, low, high)
     judged = judge_detectors(replace(site, holdout=site.holdout[:2]), (mounting,), [detector])["given"]
     assert sum(map(len, judged.boxes)) >= 10
@@ -214,8 +214,8 @@ def test_a_data_set_of_a_map_judges_a_detector_without_the_map(tmp_path, capsys)
         np.testing.assert_array_equal(stored.region.holds(frame), found.region.holds(frame))
     for pose, row in zip(stored.poses, range(len(stored.poses)), strict=True):
         table = {key: float(stored.scans[key][row]) for key in ("x_m", "y_m", "height_m", "tilt_x_deg")}
-        np.testing.assert_allclose(pose.rotation, found.scenario.mounting(table).pose.rotation, atol=1e-12)
-        np.testing.assert_allclose(pose.position, found.scenario.mounting(table).pose.position, atol=1e-12)
+        np.testing.assert_allclose(pose.rotation, found.scenario.lidar.mounting(table).pose.rotation, atol=1e-12)
+        np.testing.assert_allclose(pose.position, found.scenario.lidar.mounting(table).pose.position, atol=1e-12)
     out, _ = done(capsys, "detect", tmp_path / "set", "--json")
     (of_all,) = json.loads(out)["mountings"].values()
     assert of_all["recall_0.1"] > 0.2

@@ -11,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
+from blender_lidar.scene.angles import in_radians
 from blender_lidar.scene.mount_checks import (
     check_mount_is_clear,
+    check_places_are_clear,
     footprints_meet,
     mount_notes,
 )
-from blender_lidar.scene.places import in_radians
 from blender_lidar.scene.scenario import load_scenario, shipped_scenes
 from blender_lidar.world.scenery import box, join, structure
 from tests.sample_traffic import one_vehicle
@@ -111,11 +112,11 @@ def test_shipped_scenes_and_a_mounting_by_hand(tmp_path):
     pytest.importorskip("sumolib", reason="sumolib is not installed")
     assert [list(mount_notes(load_scenario(path))) for path in shipped_scenes().values()] == [[]] * 4
     given = scene(tmp_path)
-    mount = given.mounting({"tilt_x_deg": 0.26})
+    mount = given.lidar.mounting({"tilt_x_deg": 0.26})
     assert [note.partition(" degrees")[0] for note in mount_notes(given, [mount])] == [
         "tilt_x_deg of the mounting is 0.26"
     ]
-    (high,) = mount_notes(given, [given.mounting({"height_m": 45.0})])
+    (high,) = mount_notes(given, [given.lidar.mounting({"height_m": 45.0})])
     assert high.startswith("height_m of the mounting is 45 m (usual: 2 to 12")
 
 
@@ -133,7 +134,7 @@ def test_poles_in_degrees_of_longitude_are_refused(places, refused, tmp_path):
     rows = "".join(f"{name},{x},-1.0\n" for name, x in zip("AB", places, strict=True))
     (tmp_path / "poles.csv").write_text("name,x_m,y_m\n" + rows, encoding="utf-8")
     if not refused:
-        assert len(scene(tmp_path, {"poles": "poles.csv"}).deployment.poles) == 2
+        assert len(scene(tmp_path, {"poles": "poles.csv"}).lidar.deployment.poles) == 2
         return
     with pytest.raises(InputError, match=r"stand within 0.05 m, about x_m 11.5001.*longitude and latitude"):
         scene(tmp_path, {"poles": "poles.csv"})
@@ -194,7 +195,7 @@ def clear_scene(tmp_path):
 
 @pytest.mark.parametrize("y_m", [2.0, 0.0, -30.0, 9.0, 12.0, [-3.0, 2.0], [9.0, 10.0]])
 def test_a_mount_beside_the_carriageway_is_let_pass(clear_scene, y_m):
-    check_mount_is_clear(clear_scene(y_m=y_m), [one_vehicle("car", centre=(0.0, 4.0))])
+    check_places_are_clear(clear_scene(y_m=y_m), [one_vehicle("car", centre=(0.0, 4.0))])
 
 
 @pytest.mark.parametrize(
@@ -203,7 +204,7 @@ def test_a_mount_beside_the_carriageway_is_let_pass(clear_scene, y_m):
 def test_a_mount_that_could_stand_on_the_carriageway_is_refused(clear_scene, y_m, named):
     scenario = clear_scene(y_m=y_m, baseline={"y_m": 0.0})
     with pytest.raises(InputError) as refusal:
-        check_mount_is_clear(scenario, [])
+        check_places_are_clear(scenario, [])
     assert str(refusal.value) == (
         f"{scenario.source}: [deployment] x_m, y_m: the mount at x 0 m, {named} stands on the carriageway; "
         'allowed: off the lanes, such as x 0, y 2 m or x 0, y 9 m, or [deployment] side = "gantry"'
@@ -212,7 +213,7 @@ def test_a_mount_that_could_stand_on_the_carriageway_is_refused(clear_scene, y_m
 
 def test_a_baseline_on_the_carriageway_is_refused_by_its_own_name(clear_scene):
     with pytest.raises(InputError, match=r"\[baseline\] x_m, y_m: the mount at x 0 m, y 3 m stands on the carriageway"):
-        check_mount_is_clear(clear_scene(baseline={"y_m": 3.0}), [])
+        check_places_are_clear(clear_scene(baseline={"y_m": 3.0}), [])
 
 
 def test_a_mount_inside_a_vehicle_is_refused_with_vehicle_and_frame(clear_scene):
@@ -220,7 +221,7 @@ def test_a_mount_inside_a_vehicle_is_refused_with_vehicle_and_frame(clear_scene)
     elsewhere = one_vehicle("bus", centre=(30.0, 4.0))
     scenario = clear_scene()
     with pytest.raises(InputError) as refusal:
-        check_mount_is_clear(scenario, [elsewhere, dataclasses.replace(stray, frame=17)])
+        check_places_are_clear(scenario, [elsewhere, dataclasses.replace(stray, frame=17)])
     assert str(refusal.value).startswith(
         f"{scenario.source}: [deployment] x_m, y_m: the mount at x 0 m, y 0 m stands inside vehicle 1 of frame 17"
     )
@@ -229,22 +230,22 @@ def test_a_mount_inside_a_vehicle_is_refused_with_vehicle_and_frame(clear_scene)
 
 def test_every_place_of_a_searched_rectangle_must_be_clear(clear_scene):
     stray = one_vehicle("motorcycle", centre=(6.0, -1.0))
-    check_mount_is_clear(clear_scene(x_m=[-4.0, 4.0], y_m=[-2.0, 0.0]), [stray])
+    check_places_are_clear(clear_scene(x_m=[-4.0, 4.0], y_m=[-2.0, 0.0]), [stray])
     with pytest.raises(InputError, match="the mount at x -4 to 6 m, y -2 to 0 m stands inside vehicle 1"):
-        check_mount_is_clear(clear_scene(x_m=[-4.0, 6.0], y_m=[-2.0, 0.0]), [stray])
+        check_places_are_clear(clear_scene(x_m=[-4.0, 6.0], y_m=[-2.0, 0.0]), [stray])
 
 
 def test_a_mount_from_the_command_line_is_named_by_its_option(clear_scene):
     scenario, lane = clear_scene(), mounting({"y_m": 5.0, "height_m": 3.0})
     with pytest.raises(InputError, match=r"^--x, --y: the mount at x 0 m, y 5 m stands on the carriageway"):
-        check_mount_is_clear(scenario, [], {"--x, --y": lane})
-    check_mount_is_clear(scenario, [], {"--x, --y": mounting({"y_m": -5.0, "height_m": 3.0})})
+        check_mount_is_clear(scenario, scenario.lidar, [], {"--x, --y": lane})
+    check_mount_is_clear(scenario, scenario.lidar, [], {"--x, --y": mounting({"y_m": -5.0, "height_m": 3.0})})
 
 
 def test_a_mount_among_vehicles_is_told_where_they_drive(clear_scene):
     lane = [one_vehicle("car", centre=(x, y)) for x, y in ((0.5, 0.4), (10.0, -1.0), (200.0, -30.0))]
     with pytest.raises(InputError) as refusal:
-        check_mount_is_clear(clear_scene(), lane)
+        check_places_are_clear(clear_scene(), lane)
     half = 0.5 * lane[0].size_m[0, 1]
     assert f"vehicles drive there from {-1.0 - half:.1f} to {0.4 + half:.1f} m in front of the mast" in str(
         refusal.value
@@ -276,21 +277,21 @@ SHEETS = np.array([[(-90.0, -90.0, z), (90.0, -90.0, z), (0.0, 180.0, z)] for z 
 )
 def test_a_lidar_inside_a_closed_mesh_is_refused(parts, at, inside, tmp_path):
     scenario = scene(tmp_path)
-    mounts = {"here": scenario.mounting(dict(zip(("x_m", "y_m", "height_m"), at, strict=True)))}
+    mounts = {"here": scenario.lidar.mounting(dict(zip(("x_m", "y_m", "height_m"), at, strict=True)))}
     if inside:
         with pytest.raises(InputError, match=r"here: the LiDAR hangs inside 'object 1' of \[world\]"):
-            check_mount_is_clear(scenario, [], mounts, meshes(*parts))
+            check_mount_is_clear(scenario, scenario.lidar, [], mounts, meshes(*parts))
     else:
-        check_mount_is_clear(scenario, [], mounts, meshes(*parts))
+        check_mount_is_clear(scenario, scenario.lidar, [], mounts, meshes(*parts))
 
 
 def test_every_place_that_may_be_is_looked_at(tmp_path):
     searched = scene(tmp_path / "a", {"x_m": 6.0, "y_m": -6.0, "height_m": [3.0, 5.0]})
     with pytest.raises(InputError, match=r"\[deployment\] x_m, y_m: the LiDAR hangs inside 'object 0'"):
-        check_mount_is_clear(searched, [], scenery=meshes(HOUSE))
+        check_places_are_clear(searched, [], meshes(HOUSE))
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "poles.csv").write_text("name,x_m,y_m\nfirst,6,-6\nlast,-9,-1\n")
     fixed = {"poles": "poles.csv", "y_m": None, "height_m": 3.0, "tilt_x_deg": 10.0}
     on_poles = scene(tmp_path / "b", fixed)
     with pytest.raises(InputError, match="pole 'first': the LiDAR hangs inside 'object 0'"):
-        check_mount_is_clear(on_poles, [], scenery=meshes(HOUSE))
+        check_places_are_clear(on_poles, [], meshes(HOUSE))

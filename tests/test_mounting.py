@@ -11,27 +11,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_lidar.errors import InputError
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.scene import site as site_module
-from blender_lidar.scene.deployment import Deployment, Place, Pole, SearchSpace
+from blender_lidar.scene.deployment import Pole, SearchSpace
 from blender_lidar.scene.mounting import Mast, Mounting, hung_at, mast_at, mounting_from
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recordings
+from blender_lidar.scene.sugar import on_pole
 from blender_lidar.sensors.beams import beam_directions, beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose, lean_matrix, rotation_matrix
-from tests.small_scene import FRAME_STEP_S, mounting, traffic_rows, write_scene, write_table
+from tests.small_scene import FRAME_STEP_S, mounting, place_of, traffic_rows, write_scene, write_table
 
 pytestmark = pytest.mark.versions
 
-LEVEL = StraightRoad()
-SLOPING = StraightRoad(grade_percent=6.0, cross_fall_percent=-2.5, crown_percent=3.0)
+LEVEL = RoadSettings()
+SLOPING = RoadSettings(grade_percent=6.0, cross_fall_percent=-2.5, crown_percent=3.0)
 ANGLE = st.floats(-1.4, 1.4)
 PLACE = st.floats(-30.0, 30.0)
 mountings = st.builds(
     lambda road, x, y, facing, height, tilt_x, tilt_y, yaw: (
-        road_map(road),
-        Mounting(mast_at(road_map(road), x, y, facing), height, tilt_x, tilt_y, yaw),
+        map_of(road),
+        Mounting(mast_at(map_of(road), x, y, facing), height, tilt_x, tilt_y, yaw),
     ),
     st.sampled_from([LEVEL, SLOPING]),
     PLACE,
@@ -61,7 +62,7 @@ def test_a_mounting_comes_back_from_its_pose_and_from_its_table(made):
 @given(mountings)
 def test_the_sensor_looks_along_the_mast_frame_turned_by_its_tilts(made):
     _, mounting = made
-    axes = mounting.mast.axes
+    axes = mounting.mast.T_site_mast.rotation
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
     level = Mounting(Mast(), 0.0, mounting.tilt_x, mounting.tilt_y, mounting.yaw)
     np.testing.assert_allclose(mounting.pose.rotation, level.pose.rotation @ axes, atol=1e-9)
@@ -76,7 +77,7 @@ def test_a_mast_that_faces_along_x_looks_down_there():
 
 
 def test_a_lean_and_its_tilts_are_one_mounting_and_two_that_differ_are_refused():
-    road = road_map(LEVEL)
+    road = map_of(LEVEL)
     lean = mounting_from({"height_m": 4.0, "lean_deg": 20.0, "lean_direction_deg": 30.0, "spin_deg": 5.0}, road)
     np.testing.assert_allclose(lean.pose.rotation, lean_matrix(*np.radians([20.0, 30.0, 5.0])), atol=1e-12)
     table = lean.as_table()
@@ -91,7 +92,7 @@ def test_a_lean_and_its_tilts_are_one_mounting_and_two_that_differ_are_refused()
 
 
 def test_what_a_table_leaves_out_is_that_of_the_other_mounting():
-    road = road_map(SLOPING)
+    road = map_of(SLOPING)
     base = Mounting(mast_at(road, 3.0, -1.0), 2.5, 0.1, 0.2, 0.3)
     found = mounting_from({"height_m": 4.0, "tilt_y_deg": 0.0}, road, base)
     assert found == replace(base, height_m=4.0, tilt_y=0.0)
@@ -101,8 +102,8 @@ def test_what_a_table_leaves_out_is_that_of_the_other_mounting():
 
 def test_a_search_space_gives_the_layout_of_all_its_lidars():
     upright = {"tilt_y_deg": 0.0, "yaw_deg": 0.0}
-    one = Place({"x_m": 0.0, "y_m": 0.0, **upright}, {"height_m": (2.0, 4.0), "tilt_x_deg": (0.0, 25.0)})
-    two = Place(
+    one = place_of({"x_m": 0.0, "y_m": 0.0, **upright}, {"height_m": (2.0, 4.0), "tilt_x_deg": (0.0, 25.0)})
+    two = place_of(
         {"y_m": -1.0, "height_m": 5.0, "tilt_x_deg": 0.0, "tilt_y_deg": 0.0},
         {"x_m": (-9.0, 9.0), "yaw_deg": (0.0, 360.0)},
     )
@@ -118,8 +119,8 @@ def test_a_search_space_gives_the_layout_of_all_its_lidars():
 @pytest.mark.parametrize("own", [(None, None), (3.0, 8.0), (None, 6.0)])
 def test_no_pole_is_searched_below_its_foot(foot_z_m, own):
     fixed = {"x_m": 0.0, "y_m": 0.0, "tilt_y_deg": 0.0, "yaw_deg": 0.0}
-    deployment = Deployment(fixed, {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)})
-    low, high = deployment.at(Pole("a", 1.0, -2.0, foot_z_m, *own)).span("height_m")
+    anywhere = place_of(fixed, {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)})
+    low, high = on_pole(anywhere, Pole("a", 1.0, -2.0, foot_z_m, *own)).span("height_m")
     expected = [usual if end is None else end for usual, end in zip((2.0, 4.5), own, strict=True)]
     assert (low - foot_z_m, high - foot_z_m) == pytest.approx(tuple(expected))
     assert low > foot_z_m

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,14 @@ REPLACED = [
     ("--iterations", "12", "search", "iterations", 12),
 ]
 
+
+def tables_of(scenario):
+    """The settings of a scene of one recording and one LiDAR, by table."""
+    kinds = ("world", "region", "objective", "search", "model", "drawing")
+    (traffic,) = scenario.recordings
+    return {kind: getattr(scenario, kind) for kind in kinds} | {"traffic": traffic, "sensor": scenario.lidar.sensor}
+
+
 RIVALS = {("model", "cluster"): {("model", "workers")}}
 
 
@@ -110,12 +119,13 @@ RIVALS = {("model", "cluster"): {("model", "workers")}}
 def test_an_option_replaces_its_setting_and_no_other(tmp_path, option, value, table, key, expected):
     scene = write_scene(tmp_path)
     plain, changed = (scenario_from(parsed(scene, *words)) for words in ([], [option, value]))
-    assert getattr(getattr(changed, table), key) == expected
+    before, after = (tables_of(scenario) for scenario in (plain, changed))
+    assert getattr(after[table], key) == expected
     different = {
-        (name, field)
-        for name, content in plain.as_tables().items()
-        for field in content
-        if content[field] != changed.as_tables()[name][field]
+        (name, field.name)
+        for name, content in before.items()
+        for field in fields(content)
+        if getattr(content, field.name) != getattr(after[name], field.name)
     }
     # The level of detail stands in [world]; a list of frames takes the place of their number, a cluster of processes.
     assert different <= {(table, key), ("world", key), ("traffic", "frames"), *RIVALS.get((table, key), ())}
@@ -129,7 +139,7 @@ def test_a_range_noise_that_cannot_be_is_refused_by_the_option(tmp_path, value):
 
 def test_the_traffic_option_starts_from_the_working_folder(tmp_path):
     scene = write_scene(tmp_path / "scenes")
-    assert scenario_from(parsed(scene, "--traffic", "other.csv")).traffic.path == "other.csv"
+    assert scenario_from(parsed(scene, "--traffic", "other.csv")).recordings[0].path == "other.csv"
 
 
 def test_a_mounting_is_the_baseline_but_for_what_is_given(tmp_path):

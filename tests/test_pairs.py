@@ -175,7 +175,7 @@ def test_two_processes_find_what_one_finds(ran, tmp_path, capsys):
 
 def test_a_table_counts_the_boxes_that_the_run_counted_or_says_why_there_is_none(ran, tmp_path, capsys):
     words = ("table", ran.scene, "--setback", 2, "--height", "3,4", "--out", tmp_path / "table")
-    if ran.settings.deployment.poles:
+    if ran.settings.lidar.deployment.poles:
         code, _, err = cli(capsys, *words)
         assert code == 2
         assert "a study is about one" in err
@@ -216,13 +216,19 @@ def test_clouds_have_the_points_and_the_bits_that_the_run_counted(ran, tmp_path,
 
 def test_a_perfect_cloud_beside_its_own_simulation_differs_by_nothing(ran, tmp_path, capsys):
     frame = min(ran.rows, key=lambda row: float(row["distance_m"]))["frame"]
-    within = ran.settings.sensor.range_gate_m - 6.0  # whole vehicles, as `compare` has no gate
+    within = ran.settings.lidar.sensor.range_gate_m - 6.0  # whole vehicles, as `compare` has no gate
     cloud = tmp_path / "cloud.npz"
     code, _, err = cli(capsys, "scan", ran.scene, "--frame", frame, *ran.mounting, *PERFECT, "--out", cloud)
     assert code == 0, err
     with np.load(cloud, allow_pickle=False) as stored:
         pose = json.loads(str(stored["header"]))["pose"]
-    sensor = ("--sensor", ran.settings.sensor.name, "--rotation", ran.settings.sensor.rotation_hz, *ran.hung(pose))
+    sensor = (
+        "--sensor",
+        ran.settings.lidar.sensor.name,
+        "--rotation",
+        ran.settings.lidar.sensor.rotation_hz,
+        *ran.hung(pose),
+    )
     boxes = ("--boxes", ran.folder / "vehicles.csv", "--frame", frame, "--distance", 0, within)
     words = ("--points", cloud, *boxes, *sensor, "--caster", CASTER, "--out", tmp_path / "beside")
     found = verb(capsys, "compare", *words)
@@ -279,7 +285,7 @@ def test_a_data_set_and_a_detector_have_the_vehicles_and_the_judgement_of_their_
     planned = PERFECT
     made = verb(capsys, "dataset", ran.scene, *planned, "--mountings", 1, "--as-recorded", "--out", folder)
     judging = [row for row in table(folder / "scans.csv") if row["split"] == "val"]
-    poles = {(pole.x_m, pole.y_m): pole.name for pole in ran.settings.deployment.poles}
+    poles = {(pole.x_m, pole.y_m): pole.name for pole in ran.settings.lidar.deployment.poles}
     place = {key: float(judging[0][key]) for key in COORDINATES}
     words = (ran.scene, *ran.hung(place, poles.get((place["x_m"], place["y_m"]))), *planned)
     of_set = verb(capsys, "detect", folder, "--out", tmp_path / "of_set")

@@ -200,7 +200,7 @@ def i80():
     """The shipped scene's site, a mounting, and a function that gives clouds of it."""
     options = {("traffic", "frames"): 4, ("model", "caster"): CASTER, ("world", "clutter"): 0.5}
     site = prepare(load_scenario("i80", {place: (value, place[1]) for place, value in options.items()}))
-    mount = site.scenario.mounting({"height_m": 4.5, "tilt_x_deg": 22.0})
+    mount = site.scenario.lidar.mounting({"height_m": 4.5, "tilt_x_deg": 22.0})
     return site, mount, cache(lambda at: sensor_at(site, mount).scan(site.search[at]))
 
 

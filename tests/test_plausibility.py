@@ -316,9 +316,9 @@ def all_checks(path, changes=None, folder=None, **settings):
 
 def _read(scene):
     scenario = load_scenario(scene, {("traffic", "accept"): (list(WARNINGS), "x")})
-    given = {"origin_m": scenario.traffic.origin_m, "heading_deg": scenario.traffic.heading_deg}
-    given["vehicle_types"] = scenario.traffic.vehicle_types
-    recording = read_traffic(scenario.traffic.path, road=scenario.road, **{k: v for k, v in given.items() if v})
+    given = {"origin_m": scenario.recordings[0].origin_m, "heading_deg": scenario.recordings[0].heading_deg}
+    given["vehicle_types"] = scenario.recordings[0].vehicle_types
+    recording = read_traffic(scenario.recordings[0].path, road=scenario.road, **{k: v for k, v in given.items() if v})
     return recording, scenario
 
 

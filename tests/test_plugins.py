@@ -128,7 +128,7 @@ def test_a_metric_that_learns_does_so_from_the_frames_that_it_scores_searched_or
     words = ("--metric", name, "--frames", 3, "--workers", 1, "--out", tmp_path / "run")
     done(capsys, "optimise", scene, *BUDGET, *words)
     run, site = RunFolder(tmp_path / "run"), bl.load_scene(scene, metric=name, frames=3)
-    mount = np.array([site.scenario.deployment.spaces[0].layout([4.0, 0.0])[0].xy])
+    mount = np.array([site.scenario.lidar.deployment.spaces[0].layout([4.0, 0.0])[0].xy])
     for split, frames in (("search", site.search), ("holdout", site.holdout)):
         places = np.concatenate([frame.centre_m[frame.counted, :2] for frame in frames])
         away = np.linalg.norm(places - mount, axis=1)

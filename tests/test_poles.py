@@ -14,9 +14,9 @@ import pytest
 from blender_lidar.commands.report import describe_site
 from blender_lidar.errors import InputError
 from blender_lidar.run.verdict import rank_places
-from blender_lidar.scene.deployment import HANGS, Place, Pole, SearchSpace
+from blender_lidar.scene.deployment import HANGS, Pole, SearchSpace
 from blender_lidar.scene.observation import Observation, Scoring
-from blender_lidar.scene.places import read_poles
+from blender_lidar.scene.poles import read_poles
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
@@ -28,7 +28,7 @@ from blender_lidar.studies.candidates import at_one_place
 from blender_lidar.toml_table import read_toml, to_toml
 from tests.refusals import refused
 from tests.sample_traffic import one_vehicle
-from tests.small_scene import REGION, cli, done, mounting, without_charts, without_times, write_scene
+from tests.small_scene import REGION, cli, done, mounting, place_of, without_charts, without_times, write_scene
 
 pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
@@ -45,13 +45,13 @@ def scene_with(folder, rows=ROWS, header=HEADER, changes=CHANGES):
 
 
 def test_a_table_of_poles_is_read_with_what_it_leaves_out(tmp_path):
-    deployment = load_scenario(scene_with(tmp_path)).deployment
+    deployment = load_scenario(scene_with(tmp_path)).lidar.deployment
     assert deployment.poles == (
         Pole("lamp", 0.0, 0.0, 0.5, 2.0, 3.0, None, True),
         Pole("gantry", -6.0, -1.0, 0.0, None, None, 1500.0, False),
         Pole("far mast", 60.0, -40.0, 0.0, 2.0, 6.0),
     )
-    on = [deployment.at(pole) for pole in deployment.poles]
+    on = deployment.places
     assert [one.bounds["height_m"] for one in on] == [
         (2.5, 3.5),
         (2.0, 4.5),
@@ -110,13 +110,13 @@ def test_a_study_is_about_one_place(tmp_path, capsys, verb):
 
 def test_a_study_on_a_named_pole_searches_what_optimise_searches_there(tmp_path):
     scenario = load_scenario(scene_with(tmp_path))
-    for pole, there in zip(scenario.deployment.poles, scenario.deployment.spaces, strict=True):
-        one = at_one_place(scenario, pole.name)
+    for pole, there in zip(scenario.lidar.deployment.poles, scenario.lidar.deployment.spaces, strict=True):
+        one = at_one_place(scenario, pole.name).lidar
         (space,) = one.deployment.spaces
         assert (space.variables, space.bounds) == (there.variables, there.bounds)
         middle = [0.5 * sum(ends) for ends in space.bounds]
         assert space.layout(middle) == there.layout(middle)
-        assert one.baseline == scenario.baseline
+        assert one.baseline == scenario.lidar.baseline
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +156,7 @@ def test_each_pole_is_searched_as_it_would_be_alone_and_judged_on_the_same_frame
     with (folder / "run" / "ranking.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["name"] for row in rows] == [pole["name"] for pole in result["poles"]]
-    assert load_scenario(folder / "run" / "scene.toml").deployment == load_scenario(scene).deployment
+    assert load_scenario(folder / "run" / "scene.toml").lidar.deployment == load_scenario(scene).lidar.deployment
 
 
 def test_the_heights_that_are_said_to_be_searched_are_those_of_the_poles(tmp_path):
@@ -256,7 +256,7 @@ def ranked(places, x_m, metric="pe-vgop", recording=(0,) * 8):
     scenario = SimpleNamespace(search=SimpleNamespace(seed=1), installers=(HANGS,), aim="mean", is_exact=True)
     site = SimpleNamespace(plan=plan, scoring=scoring, scenario=scenario, search=frames[:4])
     plans = [(mounting({"height_m": 3.0, "tilt_x_deg": 17.0, "y_m": y}),) for y in places]
-    spaces = [SearchSpace((Place({}, {}, pole=Pole(f"{y:g}", 0.0, y)),)) for y in places]
+    spaces = [SearchSpace((place_of({}, {}, pole=Pole(f"{y:g}", 0.0, y)),)) for y in places]
     with Evaluator(frames[:4], seen, scoring, held_out=frames[4:]) as evaluator:
         return *rank_places(site, evaluator, spaces, plans), evaluator.held_out.totals(plans).objective
 
@@ -310,7 +310,7 @@ def test_a_pole_with_one_bracket_fixes_its_height_and_others_are_searched(tmp_pa
     rows = "bracket,0,0,0.5,4,4,,\nmast,-6,-1,,2,4,,\n"
     changes = {**CHANGES, "deployment": {"poles": "poles.csv", "height_m": 3.0, "tilt_x_deg": [0.0, 20.0]}}
     scene = scene_with(tmp_path, rows, changes=changes)
-    bracket, mast = load_scenario(scene).deployment.places
+    bracket, mast = load_scenario(scene).lidar.deployment.places
     assert (bracket.fixed["height_m"], "height_m" in bracket.bounds) == (4.5, False)
     assert mast.bounds["height_m"] == (2.0, 4.0)
     code, out, err = cli(capsys, "optimise", scene, "--out", tmp_path / "run", *WORDS)
@@ -343,7 +343,7 @@ def test_a_mounting_beyond_its_pole_is_refused_and_the_sheet_knows_the_foot(ran,
 
 def test_the_baseline_is_the_same_whatever_the_order_of_the_poles(tmp_path):
     one, other = (
-        load_scenario(scene_with(tmp_path / name, "".join(rows))).baseline
+        load_scenario(scene_with(tmp_path / name, "".join(rows))).lidar.baseline
         for name, rows in (("a", ROWS.splitlines(keepends=True)), ("b", ROWS.splitlines(keepends=True)[::-1]))
     )
     assert one == other
@@ -377,9 +377,9 @@ def test_a_mounting_that_is_not_given_is_as_its_scene_fixes_it(form, tmp_path):
         path.write_text(to_toml(tables), encoding="utf-8")
     scenario = load_scenario(path)
     for given in ({}, {"height_m": 3.0}):
-        table = scenario.mounting(given).as_table()
+        table = scenario.lidar.mounting(given).as_table()
         assert (table["height_m"], table["tilt_x_deg"]) == (given.get("height_m", 4.1), pytest.approx(19.0))
-    assert scenario.mounting({"lean_deg": 5.0}).as_table()["lean_deg"] == pytest.approx(5.0)
+    assert scenario.lidar.mounting({"lean_deg": 5.0}).as_table()["lean_deg"] == pytest.approx(5.0)
 
 
 def test_on_a_pole_what_the_scene_fixes_holds(tmp_path, capsys):

@@ -10,7 +10,7 @@ import pytest
 from blender_lidar.detection.judge import region_of_alarms
 from blender_lidar.errors import InputError
 from blender_lidar.road.road_map import polygon_holds
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.scene.region import Region, check_polygon
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -190,7 +190,7 @@ def test_searching_x_in_any_interval_that_holds_the_optimum_finds_the_same_place
 
 
 def test_a_detection_where_nothing_counts_is_no_false_alarm():
-    road = road_map(StraightRoad(setback_m=-2.0, lanes=2, lane_width_m=4.0))
+    road = map_of(RoadSettings(setback_m=-2.0, lanes=2, lane_width_m=4.0))
     square = [(-1.0, 0.0), (1.0, 0.0), (1.0, 2.0), (-1.0, 2.0)]
     region = Region((0.0, 0.0), 20.0, stretches=[((-20.0, 20.0), [7])], keep_out=[square], road=road)
     places = [one_vehicle("car", (0.0, 1.0)), one_vehicle("car", (5.0, 1.0))]

@@ -12,7 +12,7 @@ from blender_lidar.casting import is_available
 from blender_lidar.errors import InputError
 from blender_lidar.report.summary import definitions
 from blender_lidar.road.driven import driven_area
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recordings
@@ -26,7 +26,7 @@ from tests.sample_traffic import joined, one_vehicle
 from tests.small_scene import cli, done, traffic_rows, write_scene, write_table
 
 EVERY = list(CLASSES)
-ROAD = road_map(StraightRoad(lanes=2, lane_width_m=3.5, setback_m=2.0))
+ROAD = map_of(RoadSettings(lanes=2, lane_width_m=3.5, setback_m=2.0))
 SIZES = {"bicycle": (1.76, 0.6, 1.73), "pedestrian": (0.6, 0.6, 1.73)}
 
 
@@ -55,7 +55,7 @@ def scene(folder, users=True, **changes):
 
 def totals(site, mount=None):
     """Objective of two mountings, frame by frame."""
-    mount = mount or [(replace(site.scenario.baseline, height_m=height),) for height in (2.0, 4.0)]
+    mount = mount or [(replace(site.scenario.lidar.baseline, height_m=height),) for height in (2.0, 4.0)]
     with site_evaluator(site, site.search) as evaluator:
         return evaluator.totals(mount)
 
@@ -82,7 +82,7 @@ def test_the_classes_that_are_named_are_scored_and_the_others_hide_them(tmp_path
         prepare(load_scenario(scene(tmp_path, objective={"classes": asked}, **frames))) for asked in (EVERY, classes)
     )
     assert counted(some) == set(classes) & counted(every)
-    mount = (replace(every.scenario.baseline, height_m=3.0),)
+    mount = (replace(every.scenario.lidar.baseline, height_m=3.0),)
     with site_evaluator(every, every.search) as evaluator:
         scored = evaluator.by_vehicle([mount])
     asked = [np.isin(frame.class_name[frame.counted], classes) for frame in every.search]

@@ -24,16 +24,16 @@ pytestmark = pytest.mark.versions
 
 def test_a_scene_needs_no_more_than_its_traffic(tmp_path):
     scenario = load_scenario(scene(tmp_path, MINIMAL))
-    assert scenario.traffic.path == str(tmp_path / "traffic.csv")
-    assert scenario.sensor.name == "RS-16"
-    assert scenario.sensor.range_gate_m == load_model("RS-16").range_max_m
-    assert scenario.sensor.rotation_hz == load_model("RS-16").default_rotation_hz
-    assert scenario.deployment.bounds == {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
-    assert scenario.baseline == Mounting(height_m=2.0)
+    assert scenario.recordings[0].path == str(tmp_path / "traffic.csv")
+    assert scenario.lidar.sensor.name == "RS-16"
+    assert scenario.lidar.sensor.range_gate_m == load_model("RS-16").range_max_m
+    assert scenario.lidar.sensor.rotation_hz == load_model("RS-16").default_rotation_hz
+    assert scenario.lidar.deployment.places[0].bounds == {"height_m": (2.0, 4.5), "tilt_x_deg": (0.0, 25.0)}
+    assert scenario.lidar.baseline == Mounting(height_m=2.0)
     assert (scenario.search.particles, scenario.search.iterations, scenario.search.method) == (20, 100, "hardened")
     assert scenario.search.inertia is None
     assert (scenario.objective.metric, scenario.objective.reading) == ("pe-vgop", "corrected")
-    assert scenario.traffic.frames >= 30
+    assert scenario.recordings[0].frames >= 30
 
 
 CIRCLE = "[region]\ncentre_m = [3.0, 4.0]\nradius_m = 40.0\n"
@@ -41,12 +41,13 @@ CIRCLE = "[region]\ncentre_m = [3.0, 4.0]\nradius_m = 40.0\n"
 
 def test_a_number_fixes_a_coordinate_and_a_pair_has_it_searched(tmp_path):
     text = MINIMAL + "[deployment]\nx_m = [-4.0, 6.0]\ny_m = -1.5\nheight_m = 3\nyaw_deg = [-10, 10]\n" + CIRCLE
-    deployment = load_scenario(scene(tmp_path, text)).deployment
-    (space,) = deployment.spaces
+    deployment = load_scenario(scene(tmp_path, text)).lidar.deployment
+    (place,), (space,) = deployment.places, deployment.spaces
     assert space.variables == ("x_m", "tilt_x_deg", "yaw_deg")
     assert space.lower == (-4.0, 0.0, -10.0)
     assert space.upper == (6.0, 25.0, 10.0)
-    assert deployment.fixed == {"y_m": -1.5, "height_m": 3.0, "tilt_y_deg": 0.0, "facing_deg": 90.0}
+    assert place.fixed == {"y_m": -1.5, "height_m": 3.0, "tilt_y_deg": 0.0}
+    assert place.facing.at((9.0, -1.5), place.road) == 90.0
     assert deployment.nominal_xy == (1.0, -1.5)
     pose = space.layout([2.0, 18.0, 5.0])[0].pose
     assert (pose.x_m, pose.y_m, pose.height_m, pose.tilt_y) == (2.0, -1.5, 3.0, 0.0)
@@ -56,10 +57,10 @@ def test_a_number_fixes_a_coordinate_and_a_pair_has_it_searched(tmp_path):
 
 def test_the_baseline_stands_at_the_mounts_place_or_the_regions_middle_unless_said(tmp_path):
     deployment = "[deployment]\nx_m = 7.0\ny_m = -2.0\n"
-    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).baseline.xy[0] == 7.0
+    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).lidar.baseline.xy[0] == 7.0
     deployment = CIRCLE + "[deployment]\nx_m = [10.0, 20.0]\ny_m = -2.0\n"
-    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).baseline.xy[0] == 3.0
-    said = load_scenario(scene(tmp_path, MINIMAL + deployment + "[baseline]\nx_m = 0.0\nheight_m = 5\n")).baseline
+    assert load_scenario(scene(tmp_path, MINIMAL + deployment)).lidar.baseline.xy[0] == 3.0
+    said = load_scenario(scene(tmp_path, MINIMAL + deployment + "[baseline]\nx_m = 0.0\nheight_m = 5\n")).lidar.baseline
     assert (*said.xy, said.height_m) == (0.0, -2.0, 5.0)
 
 
@@ -71,9 +72,9 @@ def test_paths_in_the_file_start_from_its_folder_and_those_of_options_from_the_w
     folder.mkdir()
     path = scene(folder, MINIMAL)
     monkeypatch.chdir(tmp_path)
-    assert load_scenario("scenes/site.toml").traffic.path == str(Path("scenes/traffic.csv"))
+    assert load_scenario("scenes/site.toml").recordings[0].path == str(Path("scenes/traffic.csv"))
     other = load_scenario(path, {("traffic", "path"): ("other.csv", "--traffic")})
-    assert other.traffic.path == "other.csv"
+    assert other.recordings[0].path == "other.csv"
 
 
 def test_a_beam_table_is_looked_for_beside_the_scene_and_an_optional_one_in_the_working_folder(tmp_path, monkeypatch):
@@ -81,18 +82,18 @@ def test_a_beam_table_is_looked_for_beside_the_scene_and_an_optional_one_in_the_
     own_sensor(tmp_path / "own.toml", 70.0)
     path = scene(tmp_path / "scenes", MINIMAL + '[sensor]\nname = "own.toml"\n')
     monkeypatch.chdir(tmp_path)
-    assert load_scenario(path).sensor.range_gate_m == 50.0
-    assert load_scenario(path, {("sensor", "name"): ("own.toml", "--sensor")}).sensor.range_gate_m == 70.0
-    assert load_scenario(path).sensor.is_file
+    assert load_scenario(path).lidar.sensor.range_gate_m == 50.0
+    assert load_scenario(path, {("sensor", "name"): ("own.toml", "--sensor")}).lidar.sensor.range_gate_m == 70.0
+    assert load_scenario(path).lidar.sensor.is_file
 
 
 # --- frames -----------------------------------------------------------------------------------------------------------
 
 
 def test_frames_are_spread_evenly_or_listed(tmp_path):
-    listed = load_scenario(scene(tmp_path, MINIMAL + "frame_ids = [3, 5]\n")).traffic
+    listed = load_scenario(scene(tmp_path, MINIMAL + "frame_ids = [3, 5]\n")).recordings[0]
     assert (listed.frames, listed.frame_ids) == (None, (3, 5))
-    spread = load_scenario(scene(tmp_path, MINIMAL + "frames = 7\nspacing_s = 2.0\n")).traffic
+    spread = load_scenario(scene(tmp_path, MINIMAL + "frames = 7\nspacing_s = 2.0\n")).recordings[0]
     assert (spread.frames, spread.frame_ids, spread.spacing_s) == (7, None, 2.0)
 
 
@@ -105,10 +106,10 @@ def test_frames_both_listed_and_spread_evenly_are_refused(tmp_path, key):
 
 def test_an_option_puts_the_files_choice_of_frames_out_of_force(tmp_path):
     path = scene(tmp_path, MINIMAL + "frames = 7\nspacing_s = 2.0\n")
-    listed = load_scenario(path, {("traffic", "frame_ids"): ([4], "--frame-ids")}).traffic
+    listed = load_scenario(path, {("traffic", "frame_ids"): ([4], "--frame-ids")}).recordings[0]
     assert (listed.frames, listed.frame_ids, listed.spacing_s) == (None, (4,), None)
     path = scene(tmp_path, MINIMAL + "frame_ids = [3, 5]\n")
-    spread = load_scenario(path, {("traffic", "frames"): (9, "--frames")}).traffic
+    spread = load_scenario(path, {("traffic", "frames"): (9, "--frames")}).recordings[0]
     assert (spread.frames, spread.frame_ids) == (9, None)
 
 

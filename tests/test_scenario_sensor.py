@@ -15,27 +15,27 @@ GATES = MINIMAL + '[sensor]\nname = "{name}"\nrange_gate_m = 30\n[sensor.RS-16]\
 
 
 def test_a_table_per_sensor_counts_for_that_sensor_alone_and_over_the_general_setting(tmp_path):
-    assert load_scenario(scene(tmp_path, GATES.format(name="RS-16"))).sensor.range_gate_m == 50.0
-    assert load_scenario(scene(tmp_path, GATES.format(name="RS-32"))).sensor.range_gate_m == 30.0
+    assert load_scenario(scene(tmp_path, GATES.format(name="RS-16"))).lidar.sensor.range_gate_m == 50.0
+    assert load_scenario(scene(tmp_path, GATES.format(name="RS-32"))).lidar.sensor.range_gate_m == 30.0
 
 
 def test_a_sensor_and_its_table_may_go_by_an_alias(tmp_path):
     model = load_model("RS-32")
     alias = model.aliases[0]
     text = MINIMAL + f'[sensor]\nname = "rs_32"\n[sensor."{alias}"]\nrange_gate_m = 80\n'
-    sensor = load_scenario(scene(tmp_path, text)).sensor
+    sensor = load_scenario(scene(tmp_path, text)).lidar.sensor
     assert (sensor.name, sensor.range_gate_m) == (model.name, 80.0)
 
 
 def test_a_table_may_be_that_of_a_users_own_sensor(tmp_path):
     own_sensor(tmp_path / "own.toml", 70.0)
     text = MINIMAL + '[sensor]\nname = "own.toml"\n[sensor."own.toml"]\nrange_gate_m = 60\n'
-    assert load_scenario(scene(tmp_path, text)).sensor.range_gate_m == 60.0
+    assert load_scenario(scene(tmp_path, text)).lidar.sensor.range_gate_m == 60.0
 
 
 def test_an_option_chooses_another_sensor_and_its_table(tmp_path):
     chosen = {("sensor", "name"): ("RS-16", "--sensor")}
-    assert load_scenario(scene(tmp_path, GATES.format(name="RS-32")), chosen).sensor.range_gate_m == 50.0
+    assert load_scenario(scene(tmp_path, GATES.format(name="RS-32")), chosen).lidar.sensor.range_gate_m == 50.0
 
 
 @pytest.mark.parametrize("gate", [0.1, 1000.0])
@@ -56,7 +56,7 @@ def test_a_rotation_rate_that_the_sensor_lacks_is_refused_with_those_it_has(tmp_
 
 def test_an_ousters_columns_are_those_of_the_scene_its_table_or_the_option(tmp_path):
     def columns(text, overrides=None):
-        sensor = load_scenario(scene(tmp_path, MINIMAL + text), overrides).sensor
+        sensor = load_scenario(scene(tmp_path, MINIMAL + text), overrides).lidar.sensor
         lattice = lattice_of(sensor)
         assert lattice.columns == sensor.columns
         return lattice.columns
@@ -66,7 +66,7 @@ def test_an_ousters_columns_are_those_of_the_scene_its_table_or_the_option(tmp_p
     assert columns(ouster + "columns = 512\n") == 512
     assert columns(ouster + "columns = 512\n[sensor.OS1-128]\ncolumns = 2048\n") == 2048
     assert columns(ouster + "columns = 512\n", {("sensor", "columns"): (2048, "--columns")}) == 2048
-    assert load_scenario(scene(tmp_path, MINIMAL)).sensor.columns is None  # an RS-16 has no choice
+    assert load_scenario(scene(tmp_path, MINIMAL)).lidar.sensor.columns is None  # an RS-16 has no choice
 
 
 @pytest.mark.parametrize(
@@ -120,10 +120,10 @@ unit_spread_deg = 0.03
 
 
 def test_imperfections_may_be_those_of_one_model(tmp_path):
-    general = load_scenario(scene(tmp_path, MINIMAL + IMPERFECT.format(name="RS-32"))).sensor
+    general = load_scenario(scene(tmp_path, MINIMAL + IMPERFECT.format(name="RS-32"))).lidar.sensor
     assert general.imperfections == Imperfections(0.05, 0.0, seed=9)
     assert (general.unit_spread_deg, general.unit) == (0.0, 4)
-    own = load_scenario(scene(tmp_path, MINIMAL + IMPERFECT.format(name="RS-16"))).sensor
+    own = load_scenario(scene(tmp_path, MINIMAL + IMPERFECT.format(name="RS-16"))).lidar.sensor
     sheet = load_model("RS-16")
     assert own.imperfections == Imperfections(
         sheet.range_noise_m, 0.1, glass_dropout=1.0, range_at_10_percent_m=sheet.range_at_10_percent_m, seed=9
@@ -133,7 +133,7 @@ def test_imperfections_may_be_those_of_one_model(tmp_path):
 
 def test_an_option_replaces_the_imperfections_of_a_models_table_too(tmp_path):
     path = scene(tmp_path, MINIMAL + IMPERFECT.format(name="RS-16"))
-    changed = load_scenario(path, {("sensor", "range_noise_m"): (0.5, "--range-noise")}).sensor
+    changed = load_scenario(path, {("sensor", "range_noise_m"): (0.5, "--range-noise")}).lidar.sensor
     assert (changed.range_noise_m, changed.dropout) == (0.5, 0.1)
 
 
@@ -152,7 +152,7 @@ def test_a_data_sheet_with_more_noise_than_is_allowed_is_refused_where_it_is_ask
 def test_a_data_sheet_says_how_far_a_dark_target_is_seen_or_that_no_source_does(tmp_path, name, found):
     text = MINIMAL + f'[sensor]\nname = "{name}"\nrange_at_10_percent_m = "datasheet"\n'
     if found:
-        assert load_scenario(scene(tmp_path, text)).sensor.range_at_10_percent_m == found
+        assert load_scenario(scene(tmp_path, text)).lidar.sensor.range_at_10_percent_m == found
     else:
         message = f"[sensor] range_at_10_percent_m: no source gives that of {name}; allowed: a number"
         assert refusal(tmp_path, text) == message

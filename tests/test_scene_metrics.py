@@ -277,7 +277,7 @@ def test_a_metric_drives_a_search_and_is_judged_on_a_prior_of_the_held_out_frame
     result = json.loads(out)
     scenario = load_scenario(scene, {("objective", "metric"): (OPTIONS[name], "--metric")})
     site = prepare(scenario)
-    layouts = [(scenario.mounting(result["deployment"]),), (scenario.baseline,)]
+    layouts = [(scenario.lidar.mounting(result["deployment"]),), (scenario.lidar.baseline,)]
     for frames, stored in ((site.search, result), (site.holdout, result["holdout"])):
         with Evaluator(frames, site.observation, site.scoring) as evaluator:
             found, base = evaluator.totals(layouts).per_vehicle()
@@ -302,7 +302,7 @@ def test_metric_choices_names_the_best_point_of_each_metrics_own_map(tmp_path, c
     rows = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()[1:]}
     scenario = load_scenario(scene, {("objective", "metric"): (names[-1], "--metric")})
     site = prepare(scenario)
-    (space,) = scenario.deployment.spaces
+    (space,) = scenario.lidar.deployment.spaces
     with site_evaluator(site, site.search) as evaluator:
         found = map_scores(evaluator, space, space.lower, site.plan.search_block)
     height, tilt = np.unravel_index(np.argmax(found.per_vehicle), found.per_vehicle.shape)

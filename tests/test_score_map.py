@@ -10,13 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_lidar.run.verdict import POINTS, ScoreMap, map_scores, near_best_threshold
-from blender_lidar.scene.deployment import Place, SearchSpace
+from blender_lidar.scene.deployment import SearchSpace
 from blender_lidar.scoring.evaluation import Totals
 from blender_lidar.statistics import FEWEST_BLOCKS, interval_90, resampled_weights
+from tests.small_scene import place_of
 
 HEIGHT, TILT = (2.0, 4.5), (0.0, 25.0)
 FIXED = {"x_m": 1.0, "y_m": -0.5, "tilt_y_deg": 3.0, "yaw_deg": -7.0}
-SPACE = SearchSpace((Place(FIXED, {"height_m": HEIGHT, "tilt_x_deg": TILT}),))
+SPACE = SearchSpace((place_of(FIXED, {"height_m": HEIGHT, "tilt_x_deg": TILT}),))
 OPTIMUM = (4.0, 19.0)
 
 
@@ -88,7 +89,7 @@ def test_progress_counts_every_point_once():
 def test_there_is_no_map_unless_height_and_tilt_are_both_searched(searched):
     every = {**FIXED, "height_m": 4.0, "tilt_x_deg": 19.0}
     fixed = {key: value for key, value in every.items() if key not in searched}
-    hill, space = Hill([(3.0, 10.0)]), SearchSpace((Place(fixed, searched),))
+    hill, space = Hill([(3.0, 10.0)]), SearchSpace((place_of(fixed, searched),))
     assert map_scores(hill, space, space.lower, np.zeros(1, dtype=int)) is None
     assert hill.asked == []
 
@@ -96,7 +97,7 @@ def test_there_is_no_map_unless_height_and_tilt_are_both_searched(searched):
 def test_a_third_searched_coordinate_stays_at_its_optimum():
     fixed = {key: value for key, value in FIXED.items() if key != "x_m"}
     hill = Hill([(3.0, 10.0)])
-    space = SearchSpace((Place(fixed, {"x_m": (-9.0, 9.0), "height_m": HEIGHT, "tilt_x_deg": TILT}),))
+    space = SearchSpace((place_of(fixed, {"x_m": (-9.0, 9.0), "height_m": HEIGHT, "tilt_x_deg": TILT}),))
     map_scores(hill, space, (4.5, *OPTIMUM), np.zeros(1, dtype=int))
     assert {mounting.xy[0] for (mounting,) in hill.asked} == {4.5}
 

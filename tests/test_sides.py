@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.road.straight import StraightRoad, road_map
-from blender_lidar.scene.deployment import Place, SearchSpace
+from blender_lidar.road.settings import RoadSettings, map_of
+from blender_lidar.scene.deployment import SearchSpace
 from blender_lidar.scene.mounting import mast_at
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
 from tests.scene_texts import refusal
-from tests.small_scene import HEADER, done, without_charts, write_scene, write_table
+from tests.small_scene import HEADER, done, place_of, without_charts, write_scene, write_table
 
 TWO_WAY = {"setback_m": 2.0, "lanes": 2, "lane_width_m": 3.5, "carriageways": 2, "median_m": 5.0}
 EDGE = 2.0 + 4 * 3.5 + 5.0  # y of the left edge
@@ -73,8 +73,8 @@ def points_of(site, mounting):
 def test_a_site_turned_by_180_degrees_gives_every_vehicle_the_same_points(side, opposite, tmp_path):
     one = site(tmp_path / "one", deployment={"side": side})
     other = site(tmp_path / "other", turned=True, deployment=opposite)
-    there = one.scenario.deployment.spaces[0].layout([4.0])[0]
-    turned = other.scenario.deployment.spaces[0].layout([4.0])[0]
+    there = one.scenario.lidar.deployment.spaces[0].layout([4.0])[0]
+    turned = other.scenario.lidar.deployment.spaces[0].layout([4.0])[0]
     expected = points_of(one, there)
     assert sum(map(sum, expected)) > 500
     assert points_of(other, turned) == expected
@@ -82,7 +82,7 @@ def test_a_site_turned_by_180_degrees_gives_every_vehicle_the_same_points(side, 
 
 def test_both_carriageways_count_and_drive_opposite_ways():
     for drives_on, against in (("right", [False, False, True, True]), ("left", [True, True, False, False])):
-        road = road_map(StraightRoad(drives_on=drives_on, **TWO_WAY))
+        road = map_of(RoadSettings(drives_on=drives_on, **TWO_WAY))
         np.testing.assert_array_equal(road.against, against)
         found = road.locate(np.array([[0.0, 3.0], [0.0, 9.5], [0.0, 11.0], [0.0, 15.0]]))
         np.testing.assert_array_equal(found.lane >= 0, [True, False, False, True])
@@ -110,12 +110,14 @@ def test_each_side_has_its_place_and_faces_the_road(road, side, y_m, facing_deg,
     if side == "gantry":
         deployment["height_m"] = [5.5, 8.0]
     scenario = load_scenario(write_scene(tmp_path, {"road": {**TWO_WAY, **road}, "deployment": deployment}))
-    (place,) = scenario.deployment.places
+    (place,) = scenario.lidar.deployment.places
     mast = place.mounting([6.0]).mast
     assert mast.foot_m[1] == pytest.approx(y_m)
     assert math.degrees(mast.facing_rad) == pytest.approx(facing_deg)
-    assert scenario.baseline.mast == mast
-    assert load_scenario(write_scene(tmp_path, scenario.with_whole_paths())).deployment == scenario.deployment
+    assert scenario.lidar.baseline.mast == mast
+    assert (
+        load_scenario(write_scene(tmp_path, scenario.with_whole_paths())).lidar.deployment == scenario.lidar.deployment
+    )
 
 
 @pytest.mark.parametrize(
@@ -136,21 +138,23 @@ def test_a_mast_whose_place_alone_is_given_faces_the_road(by, road, y_m, facing_
     tables = {"road": {**TWO_WAY, **road}, "region": {"centre_m": [0.0, 0.5 * WIDTH], "radius_m": 30.0}}
     tables["deployment"] = {"poles": "poles.csv"} if by == "poles" else {"y_m": y_m}
     scenario = load_scenario(write_scene(tmp_path, tables))
-    masts = [place.mounting([low for low, _ in place.bounds.values()]).mast for place in scenario.deployment.places]
+    masts = [
+        place.mounting([low for low, _ in place.bounds.values()]).mast for place in scenario.lidar.deployment.places
+    ]
     facing = [math.degrees(mast.facing_rad) for mast in masts]
     np.testing.assert_allclose(facing, [facing_deg] if by == "y_m" else [45.0, facing_deg])
     again = load_scenario(write_scene(tmp_path, scenario.with_whole_paths()))
-    assert again.deployment == scenario.deployment
-    assert again.baseline == scenario.baseline
-    by_hand = math.degrees(scenario.mounting({"y_m": y_m}).mast.facing_rad)
+    assert again.lidar.deployment == scenario.lidar.deployment
+    assert again.lidar.baseline == scenario.lidar.baseline
+    by_hand = math.degrees(scenario.lidar.mounting({"y_m": y_m}).mast.facing_rad)
     assert by_hand == pytest.approx(facing_deg), "as one that options give"
 
 
 def test_the_axes_of_a_mast_are_square_and_plumb_on_any_slope():
     for slope in ({}, {"grade_percent": 6.0}, {"grade_percent": -4.0, "cross_fall_percent": 5.0}):
-        road = road_map(StraightRoad(**slope))
+        road = map_of(RoadSettings(**slope))
         for facing in (0.0, 90.0, 225.0):
-            axes = mast_at(road, 1.0, -2.0, math.radians(facing)).axes
+            axes = mast_at(road, 1.0, -2.0, math.radians(facing)).T_site_mast.rotation
             np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
             assert np.linalg.det(axes) == pytest.approx(1.0)
             np.testing.assert_allclose(axes[2], road.up, atol=1e-12)
@@ -160,20 +164,22 @@ def test_the_axes_of_a_mast_are_square_and_plumb_on_any_slope():
 def test_on_a_gantry_in_a_fall_heights_count_from_the_road(tmp_path):
     stand = {"side": "gantry", "height_m": [6.0, 9.0]}
     gantry = site(tmp_path, road={"crown_percent": 4.0}, deployment=stand)
-    (mounting,) = gantry.scenario.deployment.spaces[0].layout([6.0])
+    (mounting,) = gantry.scenario.lidar.deployment.spaces[0].layout([6.0])
     assert mounting.pose.height_m == pytest.approx(6.0 + 0.04 * 3.5)
 
 
 def test_a_mast_beside_the_lanes_of_a_gantry_scene_needs_no_clearance(tmp_path):
     gantry = site(tmp_path, deployment={"side": "gantry", "height_m": [5.0, 7.0]})
-    beside, over = (gantry.scenario.mounting({"y_m": y_m, "height_m": 3.0}) for y_m in (0.0, 7.0))
+    beside, over = (gantry.scenario.lidar.mounting({"y_m": y_m, "height_m": 3.0}) for y_m in (0.0, 7.0))
     assert prepare(gantry.scenario, [beside]).scenario is gantry.scenario
     with pytest.raises(InputError, match="hangs 3 m over the lanes"):
         prepare(gantry.scenario, [over])
 
 
 def test_two_places_may_search_the_same_coordinates():
-    one, other = (Place({"height_m": 2.0}, {"x_m": ends, "yaw_deg": (0.0, 360.0)}) for ends in ((0, 1), (5, 9)))
+    one, other = (
+        place_of({"y_m": 0.0, "height_m": 2.0}, {"x_m": ends, "yaw_deg": (0.0, 360.0)}) for ends in ((0, 1), (5, 9))
+    )
     space = SearchSpace((one, other))
     assert space.variables == ("x_m", "yaw_deg") * 2
     assert space.lower == (0, 0.0, 5, 0.0)
@@ -193,15 +199,15 @@ def test_a_vehicle_far_from_the_lower_end_of_a_searched_stretch_is_named(tmp_pat
 
 def test_a_gantry_keeps_its_clearance_and_any_other_mast_over_a_lane_is_refused(tmp_path):
     gantry = site(tmp_path / "gantry", deployment={"side": "gantry", "height_m": [5.0, 7.0]})
-    assert sum(map(sum, points_of(gantry, gantry.scenario.deployment.spaces[0].layout([6.0])[0]))) > 500
-    assert gantry.scenario.baseline.height_m == 5.0
+    assert sum(map(sum, points_of(gantry, gantry.scenario.lidar.deployment.spaces[0].layout([6.0])[0]))) > 500
+    assert gantry.scenario.lidar.baseline.height_m == 5.0
     with pytest.raises(
         InputError, match=r"hangs 4.5 m over the lanes; allowed: 5 m or more, as \[deployment\] clearance_m says"
     ):
         site(tmp_path / "low", deployment={"side": "gantry", "height_m": [4.5, 7.0]})
     with pytest.raises(InputError, match=r"y 5.5 m stands on the carriageway; allowed: off the lanes, such as x 0"):
         site(tmp_path / "lane", deployment={"y_m": 5.5})
-    low = gantry.scenario.mounting({"height_m": 3.0})
+    low = gantry.scenario.lidar.mounting({"height_m": 3.0})
     with pytest.raises(InputError, match="hangs 3 m over the lanes"):
         prepare(gantry.scenario, [low])
 

@@ -12,7 +12,7 @@ from blender_lidar.casting.exact import ExactCaster
 from blender_lidar.clouds.files import levelled
 from blender_lidar.detection.judge import believed, sensor_at
 from blender_lidar.errors import InputError
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.scene.mount_checks import check_mount_is_clear
 from blender_lidar.scene.mounting import COORDINATES, Mounting, mast_at, mounting_from
 from blender_lidar.scene.scenario import load_scenario
@@ -62,7 +62,7 @@ def rays_of(lattice, mount):
 def test_ranges_are_those_of_a_tilted_world_about_a_plumb_lidar(site):
     grade, cross_fall = 0.06, -0.025
     frame, lattice = site.search[0], site.observation.lattice
-    cloud = sensor_at(site, site.scenario.mounting(MOUNT)).scan(frame)
+    cloud = sensor_at(site, site.scenario.lidar.mounting(MOUNT)).scan(frame)
     corners = tilted(vehicle_triangles(frame).corners, grade, cross_fall)
     foot = tilted(np.array([[MOUNT["x_m"], MOUNT["y_m"], 0.0]]), grade, cross_fall)[0]
     assert foot[2] == pytest.approx(grade * foot[0] + cross_fall * foot[1], abs=1e-12)
@@ -90,10 +90,10 @@ def test_a_crown_is_two_planes_on_which_vehicles_stand(crowned):
     floor = frame.centre_m[:, 2] - 0.5 * frame.size_m[:, 2]
     np.testing.assert_allclose(floor, 0.03 * (half - abs(frame.centre_m[:, 1] - right - half)).clip(0.0), atol=1e-12)
 
-    mounting = crowned.scenario.mounting(MOUNT)
+    mounting = crowned.scenario.lidar.mounting(MOUNT)
     cloud, pose = sensor_at(crowned, mounting).scan(frame), mounting.pose
     of_ground = cloud.vehicle_id < 0
-    z = road.surface.height(cloud.xyz)
+    z = crowned.scenario.road_map.surface.height(cloud.xyz)
     np.testing.assert_allclose(cloud.xyz[of_ground, 2], z[of_ground], atol=1e-9)
     assert (z[of_ground] > 0.2).sum() > 100
     # What lies nearer than the surface: two half-spaces meet in the crown, beside it there is the plane z = 0.
@@ -112,11 +112,11 @@ def test_a_crown_is_two_planes_on_which_vehicles_stand(crowned):
 
 
 def test_each_carriageway_has_its_crown_and_both_have_one_where_nothing_parts_them():
-    two = StraightRoad(carriageways=2, median_m=5.0, lanes=2, lane_width_m=3.5, setback_m=2.0, crown_percent=3.0)
+    two = RoadSettings(carriageways=2, median_m=5.0, lanes=2, lane_width_m=3.5, setback_m=2.0, crown_percent=3.0)
     y = np.array([2.0, 5.5, 9.0, 11.5, 14.0, 17.5, 21.0])  # of edges, crowns and the middle of the median
-    height = two.surface.height(np.stack([0.0 * y, y], axis=1))
+    height = map_of(two).surface.height(np.stack([0.0 * y, y], axis=1))
     np.testing.assert_allclose(height, 0.03 * 3.5 * np.array([0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]), atol=1e-12)
-    one = replace(two, median_m=0.0)
+    one = map_of(replace(two, median_m=0.0))
     np.testing.assert_allclose(one.surface.height(np.array([[0.0, 9.0], [0.0, 16.0]])), [0.03 * 7.0, 0.0], atol=1e-12)
 
 
@@ -143,7 +143,7 @@ def test_scores_see_what_clouds_do(compiled, crowned, monkeypatch):
     if not compiled:
         monkeypatch.setattr(frame_scorer, "numba_works", lambda: False)
     for height in (2.0, 4.2):
-        mounting = crowned.scenario.mounting(MOUNT | {"height_m": height})
+        mounting = crowned.scenario.lidar.mounting(MOUNT | {"height_m": height})
         for frame in crowned.search[:2]:
             cloud = sensor_at(crowned, mounting).scan(frame)
             expected = [(cloud.vehicle_id == number).sum() for number in frame.vehicle_id[frame.counted]]
@@ -153,9 +153,9 @@ def test_scores_see_what_clouds_do(compiled, crowned, monkeypatch):
 
 
 def test_who_believes_in_a_level_road_sees_the_ground_off_it(site):
-    cloud = sensor_at(site, site.scenario.mounting(MOUNT)).scan(site.search[0])
-    level = mounting_from(MOUNT, road_map(StraightRoad()))
-    seen = believed(cloud, site.scenario.mounting(MOUNT).pose, level.pose)
+    cloud = sensor_at(site, site.scenario.lidar.mounting(MOUNT)).scan(site.search[0])
+    level = mounting_from(MOUNT, map_of(RoadSettings()))
+    seen = believed(cloud, site.scenario.lidar.mounting(MOUNT).pose, level.pose)
     ground = cloud.vehicle_id < 0
     far = ground & (cloud.xyz[:, 0] > 20.0)
     np.testing.assert_allclose(seen.xyz[far, 2], 0.06 * seen.xyz[far, 0] - 0.025 * seen.xyz[far, 1] - 0.205, atol=2e-3)
@@ -164,7 +164,7 @@ def test_who_believes_in_a_level_road_sees_the_ground_off_it(site):
 
 def test_signs():
     uphill, to_the_right = (
-        Mounting(mast_at(road_map(StraightRoad(**one)), 0.0, 0.0), 4.0).pose
+        Mounting(mast_at(map_of(RoadSettings(**one)), 0.0, 0.0), 4.0).pose
         for one in ({"grade_percent": 5.0}, {"cross_fall_percent": 5.0})
     )
     ahead = uphill.to_world(np.array([[1.0, 0.0, 0.0]]))[0]
@@ -177,8 +177,8 @@ def test_signs():
 
 
 def test_headers_have_the_pose_in_the_road_frame_and_the_plumb_mounting(site):
-    sensor = sensor_at(site, site.scenario.mounting(MOUNT))
-    header, pose = sensor.cloud_header(site.search[0]), site.scenario.mounting(MOUNT).pose
+    sensor = sensor_at(site, site.scenario.lidar.mounting(MOUNT))
+    header, pose = sensor.cloud_header(site.search[0]), site.scenario.lidar.mounting(MOUNT).pose
     assert {key: header["mounting"][key] for key in COORDINATES} == pytest.approx(MOUNT)
     assert header["road"] == SLOPES
     np.testing.assert_allclose(levelled(pose.position[None], Pose.from_table(header["pose"])), 0.0, atol=1e-12)
@@ -193,9 +193,9 @@ def test_the_head_of_a_leaning_mast_keeps_out_of_boxes():
         scene = load_scenario("i80", {("world", "boxes"): ([item], "x"), ("road", "grade_percent"): (grade, "x")})
         if inside:
             with pytest.raises(InputError, match="inside 'box 1'"):
-                check_mount_is_clear(scene, [], {"--x": scene.mounting(mount)})
+                check_mount_is_clear(scene, scene.lidar, [], {"--x": scene.lidar.mounting(mount)})
         else:
-            check_mount_is_clear(scene, [], {"--x": scene.mounting(mount)})
+            check_mount_is_clear(scene, scene.lidar, [], {"--x": scene.lidar.mounting(mount)})
 
 
 def test_files_of_scenery_are_refused_beside_a_slope():

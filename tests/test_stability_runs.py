@@ -162,7 +162,7 @@ def test_a_changed_site_is_scored_as_a_scene_that_says_so(site, tmp_path):
     ):
         chosen = next(one for one in every_variation(site) if (one.section, one.what, one.value) == variation)
         asked = prepare(load_scenario(write_scene(tmp_path, {**MAPPED, table: {key: value}})))
-        layouts = [(site.scenario.mounting({"height_m": 4.0}),), (site.scenario.baseline,)]
+        layouts = [(site.scenario.lidar.mounting({"height_m": 4.0}),), (site.scenario.lidar.baseline,)]
         with site_evaluator(asked, asked.search) as evaluator:
             expected = evaluator.totals(layouts).objective
         (found,) = landscapes(site, [Job(chosen, tuple(layouts))])
@@ -223,8 +223,8 @@ def test_a_mounting_of_ones_own_that_sees_nothing_is_judged_by_cross_fitting_whe
 
 def test_where_only_the_height_is_searched_candidates_differ_by_height_alone(site):
     scenario = load_scenario(site.scenario.source)
-    tilt = {**scenario.deployment.fixed, "tilt_x_deg": 12.0}
-    fixed = replace(scenario.deployment, fixed=tilt, bounds={"height_m": (2.0, 4.5)})
+    tilt = {**scenario.lidar.deployment.places[0].fixed, "tilt_x_deg": 12.0}
+    fixed = replace(scenario.lidar.deployment, fixed=tilt, bounds={"height_m": (2.0, 4.5)})
     found = grid_candidates(replace(scenario, deployment=fixed), (mounting({"tilt_x_deg": 12.0}),), 6, 26)
     assert found.points[1:].tolist() == [[height, 12.0] for height in (2.0, 2.5, 3.0, 3.5, 4.0, 4.5)]
 

@@ -92,7 +92,7 @@ def test_angles_that_the_scene_fixes_are_kept(tmp_path, capsys, fixed):
     words = ("table", scene, "--setback", "2", "--height", "4.5", "--json", "--out", tmp_path / "t")
     cell = json.loads(done(capsys, *words)[0])["cells"][0]
     scenario = load_scenario(scene)
-    axis = scenario.deployment.spaces[0].axes[1]
+    axis = scenario.lidar.deployment.spaces[0].axes[1]
     given = {key: value for key, value in fixed.items() if isinstance(value, float)} | {axis: cell[axis]}
     site = prepare(scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:

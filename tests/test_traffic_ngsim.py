@@ -9,7 +9,7 @@ import pytest
 
 from blender_lidar import csv_tables as source
 from blender_lidar.errors import InputError
-from blender_lidar.road.straight import StraightRoad, road_map
+from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.traffic import CLASSES, ngsim, plan_frames, read_traffic
 from tests import traffic_samples as samples
 from tests.traffic_samples import assert_same_boxes
@@ -66,7 +66,7 @@ def test_every_dialect_gives_the_same_boxes(dialect, columns, expected, tmp_path
 
 
 def test_front_centre_in_feet_becomes_box_centre_in_the_road_frame(columns, tmp_path):
-    road = StraightRoad(station_m=40.0, right_edge_m=25.0, setback_m=3.0)
+    road = RoadSettings(station_m=40.0, right_edge_m=25.0, setback_m=3.0)
     recording = read_traffic(samples.write(tmp_path, samples.native(columns)), road=road)
     order = np.lexsort((columns["Vehicle_ID"], columns["Frame_ID"]))
     front_x = columns["Local_Y"][order] * FOOT_M - 40.0
@@ -224,7 +224,7 @@ def test_traffic_flows_forward_in_lanes_from_left_to_right_within_the_carriagewa
     lateral = [np.median(recording.centre_m[past_the_ramp & (recording.lane == lane), 1]) for lane in lanes]
     assert len(lanes) >= 3
     np.testing.assert_allclose(np.diff(lateral), -3.66, atol=0.7)
-    low, high = road_map(StraightRoad()).edges_t
+    low, high = map_of(RoadSettings()).edges_t
     assert low < min(lateral)
     assert max(lateral) < high
 
@@ -253,7 +253,7 @@ def test_the_box_ends_at_the_recorded_front(recordings):
     assert recording.frame.tolist() == raw[:, 1].astype(int).tolist()
     direction = np.stack([np.cos(recording.heading_rad), np.sin(recording.heading_rad)], axis=1)
     front = recording.centre_m[:, :2] + recording.size_m[:, :1] / 2 * direction
-    road = StraightRoad()
+    road = RoadSettings()
     np.testing.assert_allclose(front[:, 0], raw[:, 5] * FOOT_M - road.station_m, atol=1e-9)
     np.testing.assert_allclose(front[:, 1], road.setback_m + road.right_edge_m - raw[:, 4] * FOOT_M, atol=1e-9)
     assert recording.report.period == "0515-0530"

@@ -11,8 +11,8 @@ from blender_lidar.detection.dataset import plan_dataset, sample
 from blender_lidar.detection.judge import watched
 from blender_lidar.errors import InputError
 from blender_lidar.report.installation import _bearing
-from blender_lidar.road import mapped
-from blender_lidar.road.straight import road_map
+from blender_lidar.road import straight
+from blender_lidar.road.straight import straight_road
 from blender_lidar.run.what_if import jammed
 from blender_lidar.scene.mount_checks import check_mount_is_clear
 from blender_lidar.scene.scenario import load_scenario
@@ -49,12 +49,12 @@ def sites(tmp_path_factory):
     write_table(folder / "traffic.csv", traffic_rows(vehicles=150))
     along_x = prepare(load_scenario(write_scene(folder, COMMON)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mapped, "road_map", turned_map)
+        patch.setattr(straight, "straight_road", turned_map)
         yield along_x, prepare(load_scenario(write_scene(folder, {**COMMON, **TURNED})))
 
 
 def turned_map(road):
-    along_x = road_map(road)
+    along_x = straight_road(road)
     if road.station_m != MARK_M:
         return along_x
     return replace(along_x, points_m=tuple(line @ QUARTER[:2, :2] for line in along_x.points_m))
@@ -69,7 +69,7 @@ def same_vehicles(one, other):
 def test_the_same_vehicles_count_among_the_same_things_and_get_the_same_points(sites):
     points = []
     for site in sites:
-        layout = site.scenario.deployment.spaces[0].layout([4.0])
+        layout = site.scenario.lidar.deployment.spaces[0].layout([4.0])
         scored = Evaluator(site.search, site.observation, site.scoring).by_vehicle([layout])
         points.append([one.seen.points[0].tolist() for one in scored])
     assert points[0] == points[1]
@@ -92,7 +92,7 @@ def test_data_sets_are_moved_and_mirrored_along_it(sites):
         assert (before.station_m, before.mirrored) == pytest.approx((after.station_m, after.mirrored))
     for number in range(4):
         before, after = sample(one, number), sample(other, number)
-        same_vehicles(before, after)
+        same_vehicles(before.vehicles, after.vehicles)
         np.testing.assert_array_equal(before.points, after.points)
 
 
@@ -112,17 +112,17 @@ def test_queues_close_up_and_a_barrier_stands_along_it(sites):
 
 def test_a_lidar_in_a_barrier_is_refused(sites):
     for site, (x_m, y_m) in zip(sites, ((-10.0, 1.4), (-1.4, -10.0)), strict=True):
-        inside = site.scenario.mounting({"x_m": x_m, "y_m": y_m, "height_m": 0.5})
+        inside = site.scenario.lidar.mounting({"x_m": x_m, "y_m": y_m, "height_m": 0.5})
         with pytest.raises(InputError, match="hangs inside 'guard_rail"):
-            check_mount_is_clear(site.scenario, [], {"here": inside})
+            check_mount_is_clear(site.scenario, site.scenario.lidar, [], {"here": inside})
 
 
 def test_an_installer_reads_which_way_the_mast_faces_from_the_road(sites):
     said = []
     for site in sites:
-        (mounting,) = site.scenario.deployment.spaces[0].layout([4.0])
+        (mounting,) = site.scenario.lidar.deployment.spaces[0].layout([4.0])
         ahead = site.scenario.road_map.direction(mounting.xy)
-        said.append([_bearing(site, axis, ahead, "travel") for axis in (mounting.mast.axes[1], mounting.mast.axes[0])])
+        said.append([_bearing(site, axis, ahead, "travel") for axis in mounting.mast.T_site_mast.rotation[1::-1]])
     assert said == [
         ["+y, left of travel, bearing 0 deg", "ahead, in travel, bearing 90 deg"],
         ["-x, left of travel, bearing 0 deg", "ahead, in travel, bearing 90 deg"],

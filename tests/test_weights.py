@@ -14,7 +14,7 @@ from blender_lidar.report.tables import group_tables
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.searches import fresh_auto_search
 from blender_lidar.run.verdict import map_scores
-from blender_lidar.scene.deployment import Place, SearchSpace
+from blender_lidar.scene.deployment import SearchSpace
 from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.observation import Observation, Scoring, check_weights, vehicle_weights
 from blender_lidar.scene.scenario import load_scenario
@@ -27,7 +27,7 @@ from blender_lidar.sensors.model import load_model
 from blender_lidar.statistics import ratio_interval_90
 from blender_lidar.studies.driver import AS_IT_IS, Job, landscapes
 from tests.sample_traffic import counted_frames, joined, one_vehicle
-from tests.small_scene import without_charts, write_scene
+from tests.small_scene import place_of, without_charts, write_scene
 
 pytestmark = pytest.mark.versions
 
@@ -134,7 +134,7 @@ def test_a_run_judges_as_if_heavy_vehicles_were_there_several_times(run):
 def test_the_score_map_and_the_tables_by_group_weigh_too(run):
     outcome, site = run
     fixed = dict.fromkeys(("x_m", "y_m", "tilt_y_deg", "yaw_deg"), 0.0)
-    space = SearchSpace((Place(fixed, {"height_m": (2.0, 4.0), "tilt_x_deg": (0.0, 20.0)}),))
+    space = SearchSpace((place_of(fixed, {"height_m": (2.0, 4.0), "tilt_x_deg": (0.0, 20.0)}),))
     with site_evaluator(site, site.search) as evaluator:
         score_map = map_scores(evaluator, space, space.lower, site.plan.search_block, grid=(2, 2))
     assert score_map.block_vehicles.sum() == len(scores(outcome.baseline, outcome.baseline["split"] == "search"))
@@ -157,7 +157,7 @@ def test_studies_and_rungs_of_a_search_see_the_same_weights(run):
     assert found.blocks(site.plan.search_block)[1].sum() == totals.weight.sum() != found.vehicles.sum()
     only_last = [replace(frame, weight=np.zeros(len(frame))) for frame in site.search[:-1]]
     rungs = fresh_auto_search(
-        replace(site, search=(*only_last, site.search[-1])), site.scenario.deployment.spaces[0]
+        replace(site, search=(*only_last, site.search[-1])), site.scenario.lidar.deployment.spaces[0]
     ).rungs
     assert rungs[0].frames[0] == len(site.search) - 1  # frames without a weight are looked at last
 

@@ -56,7 +56,7 @@ def site():
 @pytest.fixture(scope="module")
 def planned(site):
     """A mounting there."""
-    return (site.scenario.mounting({"height_m": 4.5, "tilt_x_deg": 23.0}),)
+    return (site.scenario.lidar.mounting({"height_m": 4.5, "tilt_x_deg": 23.0}),)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_a_queue_is_counted_by_the_vehicles_that_it_was_made_of(site, seen):
 
 @pytest.mark.parametrize("changes", [{}, {"tilt_y_deg": 10.0, "yaw_deg": 20.0}])
 def test_the_other_side_has_the_mirror_image_of_a_mounting(site, changes):
-    mounting = site.scenario.mounting({"height_m": 4.5, "tilt_x_deg": 23.0, **changes})
+    mounting = site.scenario.lidar.mounting({"height_m": 4.5, "tilt_x_deg": 23.0, **changes})
     mounting = replace(mounting, mast=replace(mounting.mast, facing_rad=1.0))
     other = on_other_side(site.scenario, mounting)
     here, there = (one.pose.to_world(np.eye(3)[1:])[:, :2] for one in (mounting, other))
@@ -340,7 +340,9 @@ def test_what_is_drawn_is_drawn_several_times_and_what_is_not_once(seen):
 
 
 def test_each_frame_is_seen_under_installation_errors_of_its_own(site, planned):
-    scenario = replace(site.scenario, deployment=replace(site.scenario.deployment, installer=Installer(tilt_deg=4.0)))
+    scenario = replace(
+        site.scenario, deployment=replace(site.scenario.lidar.deployment, installer=Installer(tilt_deg=4.0))
+    )
     frames = [frame for frame in site.holdout if frame.counted.any()]
     errors, seen = errors_of_frames(scenario, len(frames)), []
     for frame, of_frame in zip(frames, errors, strict=True):

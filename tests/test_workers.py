@@ -194,7 +194,7 @@ def test_a_script_that_starts_workers_needs_no_guard(tmp_path, piped):
         site = bl.load_scene({str(write_scene(tmp_path))!r}, workers=2)
         with bl.api.site_evaluator(site, site.search) as evaluator:
             evaluator.workers.await_ready()
-            layout = (site.scenario.baseline,)
+            layout = (site.scenario.lidar.baseline,)
             print(evaluator.workers.count, len(evaluator.totals([layout]).objective))
         """
     )

@@ -109,7 +109,7 @@ def _bake(scene, lidar, again) -> bool:
     objects, tables = session.exact_objects(scene, scenarios.view_layer_of(scene), scenario), scenario.as_tables()
     layout = scenarios.layout_of(scene, lidar) if scenario.world.clutter else [lidar]  # which is kept clear of all
     settings = session.settings_digest(lidar)
-    of = [source_digest(), settings, *map(tables.get, _OF_CLOUDS), scenario.lidar_name]
+    of = [source_digest(), settings, *map(tables.get, _OF_CLOUDS), scenario.lidar.name]
     of += map(properties.mounting_of, layout)
     of += map(session.stamp, scenario.files.values())
     for one in (objects[0].scenery,) if objects else ():
@@ -124,7 +124,7 @@ def _bake(scene, lidar, again) -> bool:
     frame = session.live_frame(scene, lidar, exact=True, bodies=bodies)
     cloud, caster = frame.look(mounting.pose, objects).cloud, frame.observation.caster
     bits = entropy_of_vehicles(cloud, vehicles, scenario.objective)
-    sensor = MountedSensor(scenario, mounting, lattice_of(scenario.sensor), caster, next(iter(objects), None))
+    sensor = MountedSensor(scenario, mounting, lattice_of(scenario.lidar.sensor), caster, next(iter(objects), None))
     made_of = {_MADE_OF: digest, _SETTINGS: settings, _POINTS: len(cloud)}
     seen = np.intersect1d(cloud.vehicle_id, vehicles.vehicle_id, return_indices=True)
     header = sensor.cloud_header(vehicles) | made_of

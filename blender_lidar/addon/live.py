@@ -170,9 +170,9 @@ def _update_one(scene, lidar, shown, objects, graph) -> bool:
         shown.scenario, shown.baseline = scenarios.scenario_from(scene, lidar), None
     frame, vehicles = shown.frame, shown.frame.frame
     if scenarios.has_road(scene):
-        check_mount_is_clear(shown.scenario, [vehicles], {lidar.name: mounting})
+        check_mount_is_clear(shown.scenario, shown.scenario.lidar, [vehicles], {lidar.name: mounting})
     if shown.baseline is None:
-        shown.baseline = frame.look(shown.scenario.baseline.pose, [objects]) if frame.scoring else None
+        shown.baseline = frame.look(shown.scenario.lidar.baseline.pose, [objects]) if frame.scoring else None
     shown.look = look = frame.look(mounting.pose, [objects])
     shown.bits = entropy_of_vehicles(look.cloud, vehicles, shown.scenario.objective, look)
     shown.colours = colours_by(group.colour_by, vertices_of(look.cloud, vehicles, shown.bits))

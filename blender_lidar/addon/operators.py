@@ -99,9 +99,9 @@ def show_site(scene: bpy.types.Scene, recording: Recording, frame: int, scenery:
     """Show the road, what a scene file has standing there, and the frame of a recording nearest to a number."""
     group = scene.blender_lidar
     scenario = scenarios.scenario_from(scene)
-    reach = max(_LEAST_REACH_M, scenario.sensor.range_gate_m)
+    reach = max(_LEAST_REACH_M, scenario.range_gate_m)
     bare = frame_of(scene) is None
-    build_road(scene, scenario.road_map, scenario.deployment.nominal_xy, reach)
+    build_road(scene, scenario.road_map, scenario.nominal_xy, reach)
     for lidar in [one for one in lidars(scene) if bare and one.library is None]:  # which has no pole yet
         dress(lidar, lattice_of(scenarios.sensor_of(lidar)))
     show_ground(scene, scenarios.view_layer_of(scene), shown=scene.blender_lidar.world.ground)
@@ -191,23 +191,25 @@ def _fill_from_file(operator, context, path, *, clip=False):
     scenarios.fill_scene(scene, tables, folder, scenario)
     properties.hang_again(scene)
     there, taken = {one.name: one for one in lidars(scene) if one.library is None}, set()
-    for one in there.values() if scenario.lidar_name else ():
+    for one in there.values() if scenario.lidars[0].is_named else ():
         one.blender_lidar.in_layout = False
-    for number, one in enumerate(scenario.each):
-        found = there.get(one.lidar_name) if one.lidar_name else scenarios.active_lidar(scene)
+    for number, one in enumerate(scenario.lidars):
+        found = there.get(one.name) if one.is_named else scenarios.active_lidar(scene)
         if found is None or found.library is not None:  # a new one as the file says, each on a pole of its own
-            places = [place.fixed for place in one.deployment.places]
-            fixed = next((of for of in places if (of.get("x_m"), of.get("y_m")) not in taken), places[0])
-            taken.add((fixed.get("x_m"), fixed.get("y_m")))
-            stands = one.mounting({key: fixed[key] for key in ("x_m", "y_m", "facing_deg") if key in fixed})
-            pose = changed_mounting(stands, one.road_map, **fixed).pose
-            found = add_lidar(scene, pose, one.lidar_name or "LiDAR")
+            places = one.deployment.places
+            place = next((of for of in places if of.xy not in taken), places[0])
+            taken.add(place.xy)
+            stands = {key: place.fixed[key] for key in ("x_m", "y_m") if key in place.fixed}
+            if place.xy is not None:
+                stands["facing_deg"] = place.facing.at(place.xy, place.road)
+            pose = changed_mounting(one.mounting(stands), place.road, **place.fixed).pose
+            found = add_lidar(scene, pose, one.name)
         scenarios.fill_lidar(found, tables, folder, scenario, number)
         dress(found, lattice_of(one.sensor))
     scenarios.select(context, scenarios.layout_of(scene, found)[0])
-    live.frame_site(context.view_layer.objects.active, scenario.sensor.range_gate_m)
+    live.frame_site(context.view_layer.objects.active, scenario.range_gate_m)
     recording = session.keep(scene, recordings)
-    ids, frames = scenario.traffic.frame_ids, recording.frames
+    ids, frames = scenario.recordings[0].frame_ids, recording.frames
     show_site(scene, recording, ids[0] if ids and not clip else int(frames[0 if clip else len(frames) // 2]), scenery)
     return _loaded(operator, recording)
 
@@ -381,7 +383,7 @@ def checked_mount(scene: bpy.types.Scene, lidar: bpy.types.Object) -> tuple[Scen
     scenario, mounting = scenarios.scenario_from(scene, lidar), properties.mounting_of(lidar)
     vehicles = session.vehicles_of(scene)
     if scenarios.has_road(scene):
-        check_mount_is_clear(scenario, [vehicles], {lidar.name: mounting})
+        check_mount_is_clear(scenario, scenario.lidar, [vehicles], {lidar.name: mounting})
     return scenario, mounting, vehicles
 
 
@@ -400,7 +402,7 @@ class BLENDER_LIDAR_OT_scan(NeedsLidar, bpy.types.Operator):
             frames.append(session.live_frame(scene, lidar, exact=True))
             objects = session.exact_objects(scene, context.view_layer, scenario)
             look = frames[-1].look(mounting.pose, objects)
-            looks.append((look, frames[-1].look(scenario.baseline.pose, objects) if frames[-1].scoring else look))
+            looks.append((look, frames[-1].look(scenario.lidar.baseline.pose, objects) if frames[-1].scoring else look))
         if len(hung) > 1:
             session.store_layout(scene, hung, frames, looks)
         for lidar, (look, base), (scenario, _, vehicles) in zip(hung, looks, checked, strict=True):

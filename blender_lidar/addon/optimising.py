@@ -117,7 +117,7 @@ class Optimisation:
     def __init__(self, scenario: Scenario, scenery: Scenery, bodies: OwnBodies | None = None) -> None:
         self.done, self.total, self.best, self.result, self.problem = 0, 0, None, None, ""
         self._recent: deque[tuple[float, int]] = deque()  # when how many were done
-        for space in () if scenario.further_lidars else scenario.deployment.spaces:  # how long a layout takes shows
+        for space in () if scenario.is_layout else scenario.lidar.deployment.spaces:  # how long a layout takes shows
             self.total += most_evaluations(scenario, space)
         self._root = Path(tempfile.mkdtemp(prefix="blender_lidar-", dir=bpy.app.tempdir or None))
         self._read = 0  # bytes of what it has printed
@@ -260,8 +260,8 @@ def begin(scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object, *, alone: 
     held = [one for one in hung if alone and one != lidar]
     session.check_traffic_is_shown(scene)
     scenario = scenarios.layout_scenario(scene, hung, here=False, held=held)
-    several, spaces = scenario.further_lidars, scenario.deployment.spaces
-    if all(one.is_held for one in scenario.lidars) if several else not all(space.variables for space in spaces):
+    searched = [all(space.variables for space in one.deployment.spaces) for one in scenario.lidars]
+    if all(one.is_held for one in scenario.lidars) if scenario.is_layout else not all(searched):
         raise InputError("LiDAR panel: Optimize: every coordinate is fixed; switch at least one on")
     return Optimisation(scenario, open_scenery(scene, layer), session.own_bodies(scene, again=True))
 

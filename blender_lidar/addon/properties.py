@@ -27,10 +27,9 @@ from bpy.props import (
 
 from ..errors import InputError, one_line
 from ..names import METRIC_NAMES
-from ..road.mapped import MappedRoad, map_of
 from ..road.road_map import RoadMap
-from ..road.straight import StraightRoad
-from ..scene.deployment import MOUNTING_OR_LEAN, SEARCHED, facing_deg
+from ..road.settings import RoadSettings, map_of
+from ..scene.deployment import MOUNTING_OR_LEAN, SEARCHED, Facing
 from ..scene.mounting import COORDINATES, LEANS, Mounting, changed_mounting, hung_at, mounting_from
 from ..scene.settings import DECLARED, GATE
 from ..toml_table import Setting
@@ -442,9 +441,9 @@ def mounting_of(lidar: bpy.types.Object, road: RoadMap | None = None, depsgraph=
     """
     road = road_of(scene_of(lidar)) if road is None else road
     tables, pose = kept_of(lidar.blender_lidar).tables, pose_of(lidar, depsgraph)
-    filed, towards = tables.get("deployment", {}), tables.get("mast", {}).get("towards")
-    facing = filed.get("facing_deg", 90.0 if towards is None else facing_deg((pose.x_m, pose.y_m), towards))
-    hung = hung_at(pose, road, math.radians(facing))
+    filed, mast = tables.get("deployment", {}), tables.get("mast", {})
+    facing = Facing(filed.get("facing_deg", None if mast else 90.0), mast.get("towards"))
+    hung = hung_at(pose, road, math.radians(facing.at((pose.x_m, pose.y_m), road)))
     table = hung.as_table()
     found = {key: round(table[key], _POSE_DIGITS) + 0.0 for key in COORDINATES}
     found["yaw_deg"] = math.fmod(found["yaw_deg"], 360.0)  # a full circle less than a digit is none
@@ -471,7 +470,7 @@ def _map_of(table: dict[str, object]) -> RoadMap:
         raise InputError(
             "[road] driven: a driven area is made from the traffic; allowed in the panel: net or opendrive"
         )
-    return map_of(MappedRoad(**maps) if {"net", "opendrive"} & maps.keys() else StraightRoad(**table))
+    return map_of(RoadSettings(**(maps if {"net", "opendrive"} & maps.keys() else table)))
 
 
 def hang_as_they_are(scene: bpy.types.Scene) -> None:

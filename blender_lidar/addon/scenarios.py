@@ -23,7 +23,7 @@ from ..names import METRIC_NAMES
 from ..plugins import is_plugin, located, plugin_file
 from ..scene.lidars import OF_ANY_MODEL
 from ..scene.mounting import ANGLES, LEANS, MOUNTED, PLACE, mounting_from
-from ..scene.scenario import Scenario, scenario_of, shipped_scenes
+from ..scene.scenario import Scenario, numbered_tables, scenario_of, shipped_scenes
 from ..scene.settings import DATASHEET, GATE, SensorSettings, is_sensor_file
 from ..sensors.model import model_names
 from ..traffic.vehicles import FLEET_KINDS
@@ -155,7 +155,8 @@ def check_trusted(tables: Mapping[str, Any], folder: str) -> None:
 def scenario_from(scene: bpy.types.Scene, lidar: bpy.types.Object | None = None, *, here: bool = True) -> Scenario:
     """The scene of one LiDAR alone, which keeps the name that it has in its layout; as `layout_scenario`."""
     hung = [] if lidar is None else layout_of(scene, lidar)
-    return layout_scenario(scene, hung, here=here).alone(hung.index(lidar) if hung else 0)
+    whole = layout_scenario(scene, hung, here=here)
+    return whole.with_lidars(whole.lidars[hung.index(lidar) if hung else 0])
 
 
 def layout_of(scene: bpy.types.Scene, lidar: bpy.types.Object) -> list[bpy.types.Object]:
@@ -223,7 +224,7 @@ def layout_scenario(
     scenario, moved = made(tables), False
     for one, entry, of in zip(hung, entries, scenario.lidars, strict=False):
         towards = properties.kept_of(one.blender_lidar).tables.get("mast", {}).get("towards")
-        if towards is not None and of.deployment.middle_xy != tuple(towards) and not of.deployment.poles:
+        if towards is not None and of.deployment.facing.towards_m != tuple(towards) and not of.deployment.poles:
             entry["facing_deg"] = properties.mounting_of(one).as_table()["facing_deg"]
             moved = True  # the region was, since the LiDAR was loaded; its mast was not turned
     return made(tables) if moved else scenario
@@ -269,7 +270,7 @@ def sensor_of(lidar: bpy.types.Object) -> SensorSettings:
         Naming the panel's field.
     """
     tables, changes = _sensor_of(lidar)
-    return scenario_of({"traffic": {"path": "any"}, **tables}, where=properties.where, overrides=changes).sensor
+    return scenario_of({"traffic": {"path": "any"}, **tables}, where=properties.where, overrides=changes).lidar.sensor
 
 
 def check_unit(scene: bpy.types.Scene) -> None:
@@ -284,9 +285,10 @@ def fill_scene(scene: bpy.types.Scene, tables: Mapping[str, Any], folder: str, s
 
     What such a file leaves open because of its sensor and mounting, region and baseline, is kept as it came out.
     """
-    group, found = scene.blender_lidar, scenario.as_tables()
+    group, found = scene.blender_lidar, numbered_tables(scenario.as_tables())
+    found["baseline"] |= scenario.lidars[0].as_table()["baseline"]
     for name, keys in properties.TABLES.items():
-        properties.fill(getattr(group, name), keys, found.get(name) or scenario.baseline.as_table())
+        properties.fill(getattr(group, name), keys, found[name])
     group.source, metric = scenario.source, scenario.objective.metric
     group.metric = metric if metric in METRIC_NAMES else properties.OWN
     region, own = scenario.region, dict(tables.get("region", {}))
@@ -299,7 +301,7 @@ def fill_scene(scene: bpy.types.Scene, tables: Mapping[str, Any], folder: str, s
     for kind in FLEET_KINDS:
         if of := scenario.world.bodies.get(kind):  # where it names none those of the window stay
             setattr(group.vehicles, kind, kept_body(*of, f"{scenario.where('world', 'vehicles')} {kind}"))
-    kept |= {"region": own, "baseline": found.get("baseline", {}), "road": found["road"]}
+    kept |= {"region": own, "baseline": found["baseline"], "road": found["road"]}
     properties.keep_tables(group, kept, folder, fields_of(scene))
     group.schema = properties.SCHEMA
 
@@ -347,15 +349,15 @@ def show_model(lidar: bpy.types.Object) -> None:
 
 def fill_lidar(lidar, tables: Mapping[str, Mapping], folder: str, scenario: Scenario, number: int = 0) -> None:
     """Set a LiDAR's fields to what one of a scene has and searches, and keep [sensor] as the `tables` of it say."""
-    group, scenario = lidar.blender_lidar, scenario.alone(number)
-    sensor, deployment = asdict(scenario.sensor), scenario.deployment.as_table()
-    group.in_layout, group.number = bool(scenario.lidar_name), number
+    group, of = lidar.blender_lidar, scenario.lidars[number]
+    sensor, deployment = asdict(of.sensor), of.deployment.as_table()
+    group.in_layout, group.number = of.is_named, number
     if sensor["name"] in model_names():
         group.name_ = sensor["name"]
     else:
         group.name_, group.table_path = properties.OWN, str(Path(sensor["name"]).resolve())
     properties.fill(group, properties.SENSOR, sensor)
-    group.poles = str(Path(deployment.pop("poles")).resolve()) if scenario.deployment.poles else ""
+    group.poles = str(Path(deployment.pop("poles")).resolve()) if of.deployment.poles else ""
     for key in properties.SEARCHABLE:
         bounds, scale = deployment.get(key), math.radians(1.0) if key.endswith("_deg") else 1.0
         searched = isinstance(bounds, list | tuple)
@@ -366,10 +368,10 @@ def fill_lidar(lidar, tables: Mapping[str, Mapping], folder: str, scenario: Scen
     own = {str(Path(folder, key).resolve()) if is_sensor_file(key) else key: value for key, value in own.items()}
     fields = {"sensor": sensor_table(lidar), "deployment": _bounds_of(group)}
     own["name"] = fields["sensor"]["name"]  # with its whole path
-    towards = scenario.deployment.places[0].towards  # where masts on a map face unless the file says it
-    mast = {} if towards is None else {"towards": list(towards)}
+    facing = of.deployment.places[0].facing
+    mast = {"towards": facing.towards_m} if facing.angle_deg is None else {}  # as the road says, not the file
     properties.keep_tables(group, {"sensor": own, "deployment": deployment, "mast": mast}, folder, fields)
-    group.baseline = json.dumps(scenario.baseline.as_table()) if group.in_layout else ""
+    group.baseline = json.dumps(of.baseline.as_table()) if group.in_layout else ""
     group.schema = properties.SCHEMA
 
 

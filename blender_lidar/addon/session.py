@@ -63,10 +63,11 @@ def recording_of(scene: bpy.types.Scene) -> Recording:
 
 def with_clip(scenario: Scenario, clip: bool) -> Scenario:
     """Settings with the traffic that the timeline plays, in the example, with `clip`, the 20 s beside its own."""
-    path = Path(scenario.traffic.path)
+    first, *others = scenario.recordings
+    path = Path(first.path)
     if not clip or path.name != CLIP[0]:
         return scenario
-    return replace(scenario, traffic=replace(scenario.traffic, path=str(path.with_name(CLIP[1]))))
+    return replace(scenario, recordings=(replace(first, path=str(path.with_name(CLIP[1]))), *others))
 
 
 def _read(scene, scenario, *, searched=False):
@@ -239,10 +240,12 @@ def live_frame(
         scenarios.layout_scenario(scene, hung),
         [properties.mounting_of(one, depsgraph=depsgraph) for one in hung],
     )
-    scenario, mounting = whole.alone(hung.index(lidar)), layout[hung.index(lidar)]
+    number = hung.index(lidar)
+    scenario, mounting = whole.with_lidars(whole.lidars[number]), layout[number]
     tables, stamps = scenario.as_tables(), [stamp(path) for path in scenario.files.values()]
-    tables = {name: tables[name] for name in tables if name not in ("deployment", "search", "lidar")}
-    of = repr((tables, scenario.lidar_name, bodies and bodies.digests, moment_key(vehicles), stamps))
+    tables = {name: tables[name] for name in tables if name not in ("search", "lidar")}
+    own = scenario.lidar.name, scenario.lidar.baseline
+    of = repr((tables, own, bodies and bodies.digests, moment_key(vehicles), stamps))
     about = repr((layout, [one.deployment for one in whole.lidars])) if exact and scenario.world.clutter else ""
     before = _FRAMES.get(key)
     if before is None or before[0] != of or (about and before[1] != about) or dragged_off(lidar, mounting):

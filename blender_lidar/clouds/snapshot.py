@@ -13,6 +13,7 @@ from ..casting import resolve
 from ..casting.instances import OwnBodies
 from ..casting.protocol import StandingScenery
 from ..metrics.vgop import entropy, pe_vgop, to_vehicle_frame
+from ..scene.lidars import LidarSpec
 from ..scene.mounting import Layout, Mounting
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario
@@ -37,7 +38,7 @@ class MountedSensor:
     Attributes
     ----------
     scenario : Scenario
-        The scene.
+        The scene with this LiDAR alone.
     mounting : Mounting
     lattice : BeamLattice
         The sensor's beams.
@@ -57,6 +58,11 @@ class MountedSensor:
     bodies: OwnBodies | None = None
 
     @property
+    def spec(self) -> LidarSpec:
+        """The scene's LiDAR that it is."""
+        return self.scenario.lidar
+
+    @property
     def stands(self) -> Scenery | None:
         """What stands there at all times, None where nothing does."""
         return None if self.scenery is None else self.scenery.scenery
@@ -68,7 +74,7 @@ class MountedSensor:
 
     def cloud_header(self, vehicles: Boxes) -> dict[str, object]:
         """What made the cloud of a frame, for the file that holds it."""
-        lattice, sensor, slopes = self.lattice, self.scenario.sensor, self.scenario.road.slopes
+        lattice, sensor, slopes = self.lattice, self.spec.sensor, self.scenario.road.slopes
         return {
             "sensor": lattice.model.name,
             "pose": self.mounting.pose.as_table(),
@@ -94,11 +100,11 @@ class MountedSensor:
             detail=self.scenario.world.detail,
             lattice=self.lattice,
             pose=self.mounting.pose,
-            range_gate_m=self.scenario.sensor.range_gate_m,
+            range_gate_m=self.spec.sensor.range_gate_m,
             points=points,
             scenery=None if self.scenery is None else self.scenery.at(vehicles.time_s).with_walkers,
             settings=self.scenario.with_whole_paths(),
-            name=self.scenario.lidar_name or "LiDAR",
+            name=self.spec.name,
             detections=detections,
             bodies=self.scenario.world.bodies,
         )
@@ -110,9 +116,11 @@ def mounted_sensors(
     """Each of the scene's sensors at its mounting: all see the same scenery, and `bodies`, read unless given."""
     caster = resolve(scenario.model.caster, "caster")
     scenery, bodies = standing_scenery(scenario, caster, layout, more), bodies or read_bodies(scenario)
-    each = zip(scenario.each, layout, strict=True)
-    stands = caster, scenery, bodies
-    return tuple(MountedSensor(one, mounting, lattice_of(one.sensor), *stands) for one, mounting in each)
+    each, stands = zip(scenario.lidars, layout, strict=True), (caster, scenery, bodies)
+    return tuple(
+        MountedSensor(scenario.with_lidars(lidar), mounting, lattice_of(lidar.sensor), *stands)
+        for lidar, mounting in each
+    )
 
 
 def fused_moment(
@@ -138,7 +146,7 @@ def fused_header(sensors: Sequence[MountedSensor], vehicles: Boxes) -> dict[str,
 
     `pose` is the first LiDAR's, in whose levelled frame formats of a sensor's frame have all points.
     """
-    rows = [{"name": one.scenario.lidar_name, **one.cloud_header(vehicles)} for one in sensors]
+    rows = [{"name": one.spec.name, **one.cloud_header(vehicles)} for one in sensors]
     if len(rows) == 1:
         return sensors[0].cloud_header(vehicles)
     shared = ("frame", "caster", "detail", "versions", "pose", LABELS)

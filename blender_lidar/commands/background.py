@@ -92,6 +92,6 @@ def warm_up() -> None:
     if hasattr(os, "nice"):
         os.nice(10)  # nobody waits for it
     site = prepare(load_scenario(shipped_scenes()["i80"], {("traffic", "frames"): (1, "warm_up")}))
-    LiveFrame(site.search[0], site.observation, site.scoring).look(site.scenario.baseline.pose)
+    LiveFrame(site.search[0], site.observation, site.scoring).look(site.scenario.baselines[0].pose)
     with Evaluator(site.search, site.observation, site.scoring) as evaluator:
-        evaluator.totals([(site.scenario.baseline,)])
+        evaluator.totals([site.scenario.baselines])

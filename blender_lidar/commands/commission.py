@@ -49,10 +49,10 @@ def run(args: argparse.Namespace) -> int:
     if args.of_run is not None:
         scenario = load_scenario(RunFolder(args.of_run).file(SCENE))
         layout, number = layout_of_run(args.of_run, scenario), _number(args.lidar, scenario)
-        if scenario.straight is None:
+        if not scenario.road_map.facing_of:
             raise InputError(f"--run: {args.of_run}: is of a road on a map; allowed: a straight road's")
         site = prepare(scenario, layout)
-        given = given or site.each[number].model
+        given = given or site.models[number]
     elif args.lidar is not None:
         raise InputError("--lidar: is given without --run; allowed: both")
     seen = Hung(asked.axes, (0.0,) * 6, origin_m=asked.origin or (0.0, 0.0, 0.0)).seen
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     written = [RESULT, BEAMS, DEPLOYMENT]
     if len(clouds) >= FEWEST_CLOUDS:
         try:
-            drives_on = site.scenario.straight.drives_on if site else asked.drives_on
+            drives_on = site.scenario.road.drives_on if site else asked.drives_on
             write_columns(folder / BOXES, _boxes(found, clouds, args.clouds, drives_on), _DIGITS)
             written.append(BOXES)
         except (MissingExtraError, InputError) as error:
@@ -103,12 +103,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _number(name: str | None, scenario) -> int:
     """Which LiDAR of the plan it is."""
-    names = [one.lidar_name for one in scenario.each]
+    names = [lidar.name for lidar in scenario.lidars]
     if len(names) == 1 and name is None:
         return 0
     if name not in names:
         what = "is not given" if name is None else f"is {name!r}"
-        raise InputError(f"--lidar: {what}; allowed: {', '.join(filter(None, names)) or 'none for a run of one LiDAR'}")
+        raise InputError(f"--lidar: {what}; allowed: {', '.join(names)}")
     return names.index(name)
 
 

@@ -27,21 +27,20 @@ def run(args: argparse.Namespace) -> int:
     layouts = _layouts(asked)
     scenario = scenario_from(args)
     whole = DatasetFolder(args.out if args.out is not None else default_folder(scenario, "dataset"))
-    several = len(scenario.lidars) > 1
-    folders = [DatasetFolder(whole.path / lidar.name) if several else whole for lidar in scenario.lidars]
+    folders = [DatasetFolder(whole.path / name) if name else whole for name in scenario.names]
     for folder in folders:
         folder.check()
-    texts, results = [], {}
-    for site, folder in zip(prepare(scenario).each, folders, strict=True):
-        result = _write(asked, layouts, site, folder, joined=several)
+    texts, results, site = [], {}, prepare(scenario)
+    for number, (name, folder) in enumerate(zip(scenario.names, folders, strict=True)):
+        results[name] = result = _write(asked, layouts, site.with_lidar(number), folder, name)
         texts.append(_summary(result, folder.path))
-        results[site.scenario.lidar_name] = result
-    return say_result(args, "\n\n".join(texts), results if several else result)
+    return say_result(args, "\n\n".join(texts), results.get("", results))
 
 
-def _write(asked: DatasetOptions, layouts: tuple[str, ...], site: Site, folder: DatasetFolder, *, joined: bool) -> dict:
-    """The data set of one LiDAR; `joined` where it is one of several, whose scans of a number show the same traffic."""
-    scenario, as_recorded = site.scenario, asked.as_recorded or joined
+def _write(asked: DatasetOptions, layouts: tuple[str, ...], site: Site, folder: DatasetFolder, name: str) -> dict:
+    """The data set of one LiDAR; `name` tells it from others, whose scans of a number show the same traffic."""
+    scenario, joined = site.scenario, bool(name)
+    as_recorded = asked.as_recorded or joined
     plan = plan_dataset(site, asked.mountings, asked.scans, scenario.search.seed, as_recorded=as_recorded)
     if joined and not asked.as_recorded:
         plan = replace(plan, notes=(*plan.notes, "as with --as-recorded, so that the scans of all LiDARs go together"))
@@ -53,11 +52,11 @@ def _write(asked: DatasetOptions, layouts: tuple[str, ...], site: Site, folder: 
         "--layout": list(layouts),
     }
     if joined:
-        identity["[[lidar]]"] = scenario.lidar_name
+        identity["[[lidar]]"] = name
     with ExitStack() as stack:
 
         def progress(total: int, done: int):
-            return stack.enter_context(closing(Progress(total, f"scans {scenario.lidar_name}".rstrip(), done))).advance
+            return stack.enter_context(closing(Progress(total, f"scans {name}".rstrip(), done))).advance
 
         workers = workplace_of(scenario.model).processes
         return folder.write(plan, layouts, identity, _about(site, plan, layouts), workers, progress)
@@ -79,7 +78,7 @@ def _about(site: Site, plan: DatasetPlan, layouts: tuple[str, ...]) -> dict[str,
         "scene": Path(scenario.source).name,
         "sensor": site.model.name,
         "region": asdict(scenario.region),
-        "road": asdict(scenario.road),
+        "road": scenario.road.as_table(),
         "outlines_m": _outlines(site),
         "range_gate_m": site.observation.lidar.max_range_m,
         "watched_m": [corner.tolist() for corner in watched(site)],
@@ -97,7 +96,7 @@ def _about(site: Site, plan: DatasetPlan, layouts: tuple[str, ...]) -> dict[str,
 def _outlines(site: Site) -> list[list[list[float]]] | None:
     """The region on a level map as polygons, by which detectors are judged without the map; None for any other road."""
     scenario = site.scenario
-    if scenario.straight is not None or not scenario.road_map.surface.is_flat:
+    if scenario.road_map.endless or not scenario.road_map.surface.is_flat:
         return None
     return [outline.tolist() for outline in site.region.outlines]
 

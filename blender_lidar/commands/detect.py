@@ -114,7 +114,7 @@ def check_fits_detectors(scenario: Scenario) -> None:
             f"{scenario.where('objective', 'classes')}: pedestrian: the detectors find vehicles alone; allowed with a "
             f"detector: {', '.join(VEHICLE_CLASSES)}"
         )
-    if scenario.straight is None and not scenario.road_map.surface.is_flat:
+    if scenario.road_map.surface.is_ground:
         raise InputError(f"{scenario.source}: [road] opendrive has heights; a detector needs a level map")
 
 
@@ -142,7 +142,7 @@ def judge_at(site: Site, layout: Layout, detector: str, folder: Path) -> dict:
     judged, several = {}, len(layout) > 1
     if is_ours(detector):
         made = {
-            name: [detector_at(one, mount, detector) for one, mount in zip(site.each, mounts[name], strict=True)]
+            name: [detector_at(site.with_lidar(number), one, detector) for number, one in enumerate(mounts[name])]
             for name in mounts
         }
         workers = workplace_of(site.scenario.model).processes
@@ -155,10 +155,10 @@ def judge_at(site: Site, layout: Layout, detector: str, folder: Path) -> dict:
         judged["given"] = judged_from_file(site, layout, detector)
     poses = {f"{lidar.name} alone": one.pose for lidar, one in zip(site.scenario.lidars, layout, strict=True)}
     poses |= {name: mount[0].pose for name, mount in mounts.items()}
-    hung = tuple(map(hung_off, site.each, layout))
+    hung = tuple(hung_off(site.with_lidar(number), one) for number, one in enumerate(layout))
     rows = [
-        {"name": one.lidar_name, "deployment": planned.as_table(), "hangs": hangs.as_table()}
-        for one, planned, hangs in zip(site.scenario.each, layout, hung, strict=True)
+        {"name": lidar.name, "deployment": planned.as_table(), "hangs": hangs.as_table()}
+        for lidar, planned, hangs in zip(site.scenario.lidars, layout, hung, strict=True)
     ]
     ceiling = Evaluator(judging_frames(site)[0], site.observation, site.scoring).totals([hung]) if several else None
     result = {

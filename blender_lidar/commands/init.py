@@ -20,8 +20,7 @@ from ..errors import InputError, MissingExtraError, MissingFileError, one_line, 
 from ..files import check_folder, check_unused, make_folder, whole_file, write_text
 from ..names import SIDES, TRAFFIC_FORMATS
 from ..report.site_plan import plot_site_plan, road_text
-from ..road.mapped import MappedRoad
-from ..road.straight import StraightRoad, road_map
+from ..road.settings import RoadSettings, map_of
 from ..scene.place_checks import grades_percent
 from ..scene.plausibility import checked_recording
 from ..scene.scenario import load_scenario, shipped_scenes
@@ -62,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         config = read_config(path)
         _check(folder, [path, *config.types])
         net = config.net if asked.settings.driven else None  # a map that is given counts before
-        asked = asked if net is None else asked._replace(settings=MappedRoad(net=str(net)))
+        asked = asked if net is None else asked._replace(settings=RoadSettings(net=str(net)))
         path, types = _recorded(path, config, folder), config.types
     if types and "vehicle_types" not in given:
         given["vehicle_types"] = types
@@ -71,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     maps = [Path(asked.settings.path)] if asked.settings.path else []
     _check(folder, [path, *map(Path, given.get("vehicle_types", ())), *maps])
     kind = format_of(path) if kind == TRAFFIC_FORMATS[0] else kind
-    unplaced = StraightRoad(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
+    unplaced = RoadSettings(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
     recording, kerb_lane = read_traffic(path, format=kind, road=unplaced, **given), kind == "sumo"
     if needs_pandas(path):  # which Blender lacks
         make_folder(folder, "FOLDER")
@@ -101,8 +100,8 @@ def run(args: argparse.Namespace) -> int:
 def _check_plausible(recording: Recording, layout: RoadLayout, scene: Path) -> None:
     """Say, while it is the file's turn to be put right, what would stop a run of the scene, and what is suspicious."""
     centre = recording.centre_m.copy()
-    centre[:, :2] = layout.placing.points(centre[:, :2])
-    placed = replace(recording, centre_m=centre, heading_rad=layout.placing.headings(recording.heading_rad))
+    centre[:, :2] = layout.T_file_site.inverse.points(centre[:, :2])
+    placed = replace(recording, centre_m=centre, heading_rad=layout.T_file_site.inverse.headings(recording.heading_rad))
     placed = replace(placed, report=replace(recording.report, ground=_ground(recording, layout)))
     _tell_suspicious(placed, scene)
 
@@ -121,7 +120,7 @@ def _tell_suspicious(placed: Recording, scene: Path) -> None:
 def _ground(recording: Recording, layout: RoadLayout) -> np.ndarray:
     """The ground under the vehicles in the road frame, (n, 3) [m]."""
     ground = recording.report.ground
-    return np.column_stack([layout.placing.points(ground[:, :2]), ground[:, 2]])
+    return np.column_stack([layout.T_file_site.inverse.points(ground[:, :2]), ground[:, 2]])
 
 
 def _source(args: argparse.Namespace) -> tuple[str, Path]:
@@ -181,7 +180,7 @@ def _sumo() -> Path | None:
 class SiteOptions(NamedTuple):
     """What the options ask for: a map, a junction by name, a place x, y [m]."""
 
-    settings: MappedRoad
+    settings: RoadSettings
     junction: str | None
     at: tuple[float, float] | None
 
@@ -201,7 +200,7 @@ def _asked(args: argparse.Namespace) -> SiteOptions:
         if len(at) != 2 or not all(map(math.isfinite, at)):
             raise InputError(f"--at: is {args.at!r}; allowed: X,Y in the map's metres")
     maps = {key: str(path) for key, path in (("net", args.net), ("opendrive", args.road)) if path}
-    return SiteOptions(MappedRoad(**(maps or {"driven": True})), args.junction, at)
+    return SiteOptions(RoadSettings(**(maps or {"driven": True})), args.junction, at)
 
 
 def _run_site(site: SiteLayout, kind: str, given: dict[str, object], folder: Path) -> int:
@@ -240,7 +239,7 @@ def scene_text(recording: Recording, layout: RoadLayout, kind: str, given: dict[
             if len(known) > 1:
                 given.setdefault(key, getattr(recording.report, key))
     grade = _grade_percent(recording, layout)
-    across = np.abs(np.subtract(road_map(layout.road).edges_t, layout.pole_y)).max()
+    across = np.abs(np.subtract(map_of(layout.road).edges_t, layout.pole_y)).max()
     corner = max(math.hypot(along, across) for along in (low, high))
     gate = _GATE_STEP_M * math.ceil((corner + 1.0) / _GATE_STEP_M)
     lines = [
@@ -313,9 +312,9 @@ def _placing_lines(layout: RoadLayout) -> list[str]:
     return [
         *lines,
         f"# The file follows this carriageway {_extent(layout)}.",
-        f"origin_m = [{', '.join(map(str, layout.placing.origin_m))}]",
+        f"origin_m = [{', '.join(map(str, layout.origin_m))}]",
         "# Direction of travel in the file, counter-clockwise from its x axis: the one in which lanes are sharpest.",
-        f"heading_deg = {layout.placing.heading_deg}",
+        f"heading_deg = {layout.heading_deg}",
     ]
 
 
@@ -348,7 +347,7 @@ def _grade_percent(recording: Recording, layout: RoadLayout) -> float:
     return 0.0 if grades is None else round(0.5 * sum(grades), 1) + 0.0
 
 
-def _side_lines(road: StraightRoad) -> list[str]:
+def _side_lines(road: RoadSettings) -> list[str]:
     y_m = road.place(road.drives_on)[0] + (1.0 if road.drives_on == SIDES[1] else -1.0)
     return [
         f'side = "{road.drives_on}"  # the kerb, setback_m beside the road',
@@ -397,7 +396,7 @@ def _summary(recording: Recording, layout: RoadLayout, kind: str, written: list[
     (x, y), road = layout.pole_m, layout.road
     seconds = float(np.ptp(recording.frame_time_s))
     of_file = {"ngsim": f"Local_Y {x:.0f} m", "sumo": f"x {x:.1f}, y {y:.1f} m of the net"}
-    heading = "" if kind == "ngsim" else f", heading {layout.placing.heading_deg + 0.0:g} deg"
+    heading = "" if kind == "ngsim" else f", heading {layout.heading_deg + 0.0:g} deg"
     low, high = _region_m(layout)
     grade = _grade_percent(recording, layout)
     place = of_file.get(kind, f"x {x:.1f}, y {y:.1f} m of the table")

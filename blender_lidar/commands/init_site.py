@@ -15,7 +15,7 @@ import numpy as np
 from ..files import write_text
 from ..report.plan import Stand
 from ..report.site_plan import plot_mapped_plan
-from ..scene.deployment import facing_deg
+from ..scene.deployment import Facing
 from ..scene.region import region_of
 from ..scene.scenario import load_scenario
 from ..scene.settings import RegionSettings
@@ -44,7 +44,8 @@ def draw_site(site: SiteLayout, scene: Path, path: Path) -> None:
     """Draw the site's plan, with the region that its scene has."""
     scenario = load_scenario(scene)
     region = region_of(scenario.region, site.road)
-    stands = [Stand(name, (x, y), math.radians(facing_deg((x, y), region.centre_xy))) for name, x, y in site.poles]
+    facing = Facing(towards_m=region.centre_xy)
+    stands = [Stand(name, (x, y), math.radians(facing.at((x, y), site.road))) for name, x, y in site.poles]
     ways = site.movement if (site.movement != "").any() else None
     plot_mapped_plan(path, site.road, region.outlines, stands, site.recording, ways=ways)
 

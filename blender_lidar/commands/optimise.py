@@ -49,8 +49,9 @@ def write_pages(site: Site, run: RunFolder, tell: Callable[[str], object]) -> li
     except MissingExtraError as error:
         tell(f"no charts: {error}")
     there = [path.name for path in run.path.glob("*.png")]
-    for one, (name, result) in zip(site.each, each_lidar(run.result).items(), strict=True):
-        write_text(run.file(of_lidar(INSTALLATION, name)), installation_text(one, result, there))
+    for number, (name, result) in enumerate(each_lidar(run.result).items()):
+        text = installation_text(site.with_lidar(number), result, there)
+        write_text(run.file(of_lidar(INSTALLATION, name)), text)
     write_report(run)
     return charts
 
@@ -61,7 +62,7 @@ def report(args: argparse.Namespace, site: Site, run: RunFolder) -> int:
     if args.detector is not None:
         from .detect import detection_summary, judge_at
 
-        rows = zip(site.scenario.each, run.result["lidars"], strict=True)
+        rows = zip(site.scenario.lidars, run.result["lidars"], strict=True)
         layout = tuple(one.mounting(row["deployment"]) for one, row in rows)
         found = "\n\n" + detection_summary(judge_at(site, layout, args.detector, run.path))
     charts = write_pages(site, run, note)
@@ -78,10 +79,10 @@ def _check_detector(args: argparse.Namespace, scenario: Scenario) -> None:
 
 def check_searched(scenario: Scenario, where: str, instead: str = "") -> None:
     """Refuse a search where nothing is searched."""
-    if scenario.further_lidars and not all(lidar.is_held for lidar in scenario.lidars):
+    if scenario.is_layout and not all(lidar.is_held for lidar in scenario.lidars):
         return
-    if scenario.further_lidars or not all(place.bounds for place in scenario.deployment.places):
-        table = "every [[lidar]]" if scenario.further_lidars else "[deployment]"
+    if scenario.is_layout or not all(place.bounds for place in scenario.lidar.deployment.places):
+        table = "every [[lidar]]" if scenario.is_layout else "[deployment]"
         raise InputError(f"{where}{table} fixes every coordinate; give at least one a pair [low, high]{instead}")
 
 
@@ -101,8 +102,11 @@ def run_optimise(args: argparse.Namespace) -> int:
         done = ended_search(site, folder, lambda text: say(args, f"{text}.\n")) if args.resume else None
         try:
             if done is None:
-                variables, metric = scenario.deployment.spaces[0].variables, metric_named(scenario.objective.metric)
-                lines = 1 if scenario.further_lidars else 10  # a layout has many searches
+                variables, metric = (
+                    scenario.lidars[0].deployment.spaces[0].variables,
+                    metric_named(scenario.objective.metric),
+                )
+                lines = 1 if scenario.is_layout else 10  # a layout has many searches
                 with stops_recognised(), RunProgress(variables, metric, lines) as listener:
                     optimise_site(site, folder, listener, resume=args.resume)
             return report(args, site, folder)
@@ -119,6 +123,6 @@ def run_evaluate(args: argparse.Namespace) -> int:
     site = prepare(scenario, layout)
     with folder.begun():
         say(args, describe_site(site, searched=False) + "\n")
-        poles = {pole.name: pole for pole in scenario.deployment.poles}
+        poles = {pole.name: pole for pole in scenario.lidars[0].deployment.poles}
         evaluate_site(site, folder, layout, poles.get(args.pole))
         return report(args, site, folder)

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from ..errors import InputError, MissingExtraError, unknown_name
 from ..plugins import IN_A_FILE
-from ..scene.deployment import MOUNTING_OR_LEAN, fixed_beside
+from ..scene.deployment import MOUNTING_OR_LEAN, Place, fixed_beside
+from ..scene.lidars import LidarSpec
 from ..scene.mounting import Layout, Mounting
 from ..scene.settings import DECLARED, INSTALLER
 from ..toml_table import Setting, checked, limits_text, settings_of
@@ -188,18 +189,18 @@ def mounting_from(args: argparse.Namespace, scenario: Scenario) -> Mounting:
     """The mounting that the options name."""
     given = given_options(args, MOUNTING_OR_LEAN)
     if getattr(args, "pole", None) is not None:
-        pole = scenario.deployment.pole_named(args.pole)
-        if place := [key for key in ("x_m", "y_m") if key in given]:
-            raise InputError(f"{MOUNTING_OR_LEAN[place[0]].option}: is given beside --pole; allowed: one of both")
-        height, (low, high) = given.get("height_m"), scenario.deployment.at(pole).span("height_m")
+        place = scenario.lidar.deployment.on_pole(args.pole)
+        if xy := [key for key in ("x_m", "y_m") if key in given]:
+            raise InputError(f"{MOUNTING_OR_LEAN[xy[0]].option}: is given beside --pole; allowed: one of both")
+        pole, height, (low, high) = place.pole, given.get("height_m"), place.span("height_m")
         allowed = f"{low:g} to {high:g} m above the road"
         if pole.height_max_m is None:
             low, high = pole.foot_z_m + (pole.height_min_m or 0.0), math.inf
             allowed = f"{low:g} m above the road or more"
         if height is not None and not low <= height <= high:
             raise InputError(f"--height: is {height:g}; allowed on pole {pole.name}: {allowed}")
-        given = fixed_beside(scenario.deployment.at(pole).fixed, given) | given
-    return scenario.mounting(given)
+        given = _on(place, given)
+    return scenario.lidar.mounting(given)
 
 
 def layout_from(args: argparse.Namespace, scenario: Scenario) -> Layout:
@@ -211,7 +212,7 @@ def layout_from(args: argparse.Namespace, scenario: Scenario) -> Layout:
         if single or named:
             raise InputError(f"--run: is given beside {(single or ['--lidar'])[0]}; allowed: one of both")
         return layout_of_run(folder, scenario)
-    if not scenario.further_lidars and not named:
+    if not scenario.is_layout and not named:
         return (mounting_from(args, scenario),)
     names = [lidar.name for lidar in scenario.lidars]
     if single:
@@ -234,8 +235,8 @@ def layout_of(scenario: Scenario, given: Mapping[str, Mapping[str, object]], whe
     for name in given:
         if name not in names:
             raise unknown_name(name, names, "LiDAR", where)
-    for one in scenario.each:
-        name, others = one.lidar_name, {mounting.xy: name for name, mounting in zip(names, found, strict=False)}
+    for one in scenario.lidars:
+        name, others = one.name, {mounting.xy: name for name, mounting in zip(names, found, strict=False)}
         found.append(_mounting_of(one, given.get(name, {}), f"{where} {name}"))
         if (xy := found[-1].xy) in others and xy in poles:
             raise InputError(f"{where} {name}: hangs on pole {poles[xy]}, as {others[xy]} does; allowed: a pole each")
@@ -247,26 +248,30 @@ def layout_of_run(folder: str, scenario: Scenario) -> Layout:
     from ..run.folder import RunFolder
 
     rows = {row["name"]: row["deployment"] for row in RunFolder(folder).result["lidars"]}
-    if set(rows) != {one.lidar_name for one in scenario.each}:
-        there = ", ".join(name or "one without a name" for name in rows)
+    if set(rows) != {lidar.name for lidar in scenario.lidars}:
+        there = ", ".join(rows)
         raise InputError(f"--run: {folder}: has other LiDARs ({there}) than the scene; allowed: a run of the same")
-    return tuple(one.mounting(rows[one.lidar_name], f"{folder}: result.json") for one in scenario.each)
+    return tuple(one.mounting(rows[one.name], f"{folder}: result.json") for one in scenario.lidars)
 
 
-def _mounting_of(scenario: Scenario, given: Mapping[str, object], where: str) -> Mounting:
+def _mounting_of(lidar: LidarSpec, given: Mapping[str, object], where: str) -> Mounting:
     """The mounting of one LiDAR by pole and coordinates; others are as its one place fixes them, or its baseline's."""
     pairs = {key: value for key, value in given.items() if key != "pole"}
     for key in pairs:
         if key not in MOUNTING_OR_LEAN:
             raise unknown_name(key, [*MOUNTING_OR_LEAN, "pole"], "coordinate", where)
     pairs = {key: checked(value, MOUNTING_OR_LEAN[key], f"{where}: {key}") for key, value in pairs.items()}
-    hung = {}
     if "pole" in given:
         if place := next((key for key in ("x_m", "y_m") if key in pairs), None):
             raise InputError(f"{where}: {place}: is given beside pole; allowed: one of both")
-        pole = scenario.deployment.pole_named(str(given["pole"]), f"{where}: pole")
-        hung = fixed_beside(scenario.deployment.at(pole).fixed, pairs)
-    return scenario.mounting(hung | pairs, where)
+        pairs = _on(lidar.deployment.on_pole(str(given["pole"]), f"{where}: pole"), pairs)
+    return lidar.mounting(pairs, where)
+
+
+def _on(place: Place, given: Mapping[str, float]) -> dict[str, float]:
+    """Coordinates of a mounting on a pole: those that are given, else those that are fixed there."""
+    facing = {"facing_deg": place.facing.at(place.xy, place.road)}
+    return fixed_beside(place.fixed, given) | facing | given
 
 
 # --- Options that are written in another way than a scene's settings --------------------------------------
@@ -329,7 +334,7 @@ def check_scipy(what: str) -> None:
 
 def default_folder(scenario: Scenario, *more: str) -> Path:
     """A folder under runs/ that is not there yet, named after scene, sensor and perhaps more."""
-    return new_folder("_".join([Path(scenario.source).stem, Path(scenario.sensor.name).stem, *more]))
+    return new_folder("_".join([Path(scenario.source).stem, Path(scenario.lidars[0].sensor.name).stem, *more]))
 
 
 def new_folder(name: str) -> Path:

@@ -21,6 +21,7 @@ from ..report.summary import (
     definitions,
     each_lidar,
     imperfections_text,
+    of_name,
     region_text,
     scenery_text,
     warnings_text,
@@ -70,6 +71,7 @@ def say_stopped(folder: Path) -> int:
 def describe_site(site: Site, *, searched: bool = True) -> str:
     """What a run will work on, in a few lines; `searched` is False where a mounting is given."""
     scenario, observation, report = site.scenario, site.observation, site.recording.report
+    named = zip(scenario.names, scenario.lidars, strict=True)
     boxes = sum(int(frame.counted.sum()) for frame in site.search)
     traffic = f"{counted(len(site.search), 'frame')} with {counted(boxes, 'box')} of "
     traffic += counted(len(site.plan.searched_ids), "vehicle")
@@ -77,30 +79,27 @@ def describe_site(site: Site, *, searched: bool = True) -> str:
     if site.holdout:
         held_out = f"{counted(len(site.holdout), 'held-out frame')} for the check"
     lines = [
-        *chain(*map(_sensor_lines, site.each)),
+        *chain(*(_sensor_lines(site, *one) for one in enumerate(scenario.names))),
         ("Scenery", scenery_text(scenery_counts(site))),
         ("Traffic", f"{_traffic_text(site)}: {traffic}; {held_out}"),
         *(("", line) for line in report.lines(losses=True)),
         ("Region", f"vehicles count {region_text(asdict(scenario.region))}"),
         ("Installer", _installers(scenario)),
-        *(("Searched", _ranges(one)) for one in scenario.each if searched),
+        *(("Searched", of_name(name, _ranges(one.deployment))) for name, one in named if searched),
         ("Casting", f"{observation.caster}, detail {observation.detail}, {workplace_of(scenario.model)}"),
     ]
     warnings = warnings_text({"warnings": report.warnings_as_dicts()})
     return "\n".join([*warnings, *(f"{name:<10} {text}" for name, text in lines if text)])
 
 
-def _sensor_lines(site: Site) -> list[tuple[str, str]]:
-    """The sensor of one LiDAR, after its name where it has one."""
-    model, columns = site.model, ""
+def _sensor_lines(site: Site, number: int, name: str) -> list[tuple[str, str]]:
+    """The sensor of one LiDAR by its number, after its name where that tells it from others."""
+    model, columns = site.models[number], ""
     if model.columns_a_turn:
         columns = f" with {model.columns()} columns a turn"
-    text = f"{_called(site.scenario)}{model.name}{columns}, range gate {site.observation.lidar.max_range_m:g} m"
-    return [("Sensor", text), ("", imperfections_text(site.scenario.sensor.imperfections_as_table()))]
-
-
-def _called(scenario):
-    return f"{scenario.lidar_name}: " if scenario.lidar_name else ""
+    sensor = site.scenario.lidars[number].sensor
+    text = of_name(name, f"{model.name}{columns}, range gate {sensor.range_gate_m:g} m")
+    return [("Sensor", text), ("", imperfections_text(sensor.imperfections_as_table()))]
 
 
 def _traffic_text(site: Site) -> str:
@@ -161,13 +160,13 @@ def _installers(scenario):
     return "; ".join(f"{name}: {text}" for name, text in texts.items()) + aim
 
 
-def _ranges(scenario):
+def _ranges(deployment):
     """The searched coordinates, each with its bounds; over all poles, which may have heights of their own."""
-    deployment, poles, ranges = scenario.deployment, len(scenario.deployment.poles), []
+    poles, ranges = len(deployment.poles), []
     for key, (name, unit) in COORDINATE_NAMES.items():
         bounds = {place.bounds[key] for place in deployment.places if key in place.bounds}
         if bounds:
             own = ", as each pole allows" if len(bounds) > 1 else ""
             ranges.append(f"{name} {min(bounds)[0]:g} to {max(high for _, high in bounds):g} {unit}{own}")
     on_each = f"{counted(poles, 'pole')}; on each: " if poles else ""
-    return f"{_called(scenario)}{on_each}{', '.join(ranges) or 'nothing'}"
+    return f"{on_each}{', '.join(ranges) or 'nothing'}"

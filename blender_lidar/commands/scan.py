@@ -22,6 +22,7 @@ from ..names import CLOUD_SUFFIXES
 from ..report.page import RENDER_COMPARISON, RENDER_VIEWS, render_file, write_report
 from ..report.summary import sides, warnings_text
 from ..run.folder import SCENE, RunFolder
+from ..scene.lidars import LidarSpec
 from ..scene.mount_checks import check_mount_is_clear
 from ..scene.mounting import Mounting
 from ..scene.provenance import check_same_inputs
@@ -52,7 +53,7 @@ def _asked(
     _say_warnings(recording)
     frames = [frame_of(recording, number, option) for number in numbers]
     for sensor in sensors:
-        check_mount_is_clear(sensor.scenario, frames, {"--x, --y": sensor.mounting}, sensor.stands)
+        check_mount_is_clear(scenario, sensor.spec, frames, {"--x, --y": sensor.mounting}, sensor.stands)
     return sensors, recording, frames
 
 
@@ -71,11 +72,12 @@ def run_scan(args: argparse.Namespace) -> int:
     out = Path(args.out)
     paths = [_paths(args, numbers, out)]
     scenario = scenario_from(args)
-    named = [lidar.name for lidar in scenario.lidars] if scenario.further_lidars else []
+    named = [*filter(None, scenario.names)]
     beside = [out.with_name(f"{out.stem}_{name}{out.suffix}" if one else f"{out.name}_{name}") for name in named]
     paths += [_paths(args, numbers, own) for own in beside]
     sensors, _, frames = _asked(args, scenario, numbers)
-    of_each = [f"{sensor.scenario.lidar_name} {sensor.lattice.model.name}".lstrip() for sensor in sensors]
+    each = zip(scenario.names, sensors, strict=True)
+    of_each = [f"{name} {sensor.lattice.model.name}".lstrip() for name, sensor in each]
     text = f"({', '.join([*of_each, sensors[0].caster])})"
     text += f"; of each LiDAR in its own frame: {', '.join(map(str, beside))}" if named else ""
     for folder in [] if one else [out, *beside]:
@@ -189,7 +191,7 @@ def run_render(args: argparse.Namespace) -> int:
     check_same_inputs(scenario, run.result["identity"])
     recording = read_recording(scenario)
     _say_warnings(recording)
-    layouts = {name: list(map(Scenario.mounting, scenario.each, tables)) for name, tables in deployments.items()}
+    layouts = {name: list(map(LidarSpec.mounting, scenario.lidars, tables)) for name, tables in deployments.items()}
     detections = {name: _detections(path, layouts[name]) for name, path in _detected_files(args.detections).items()}
     number = _fullest_frame(run, args.detections, detections["optimised"]) if args.frame is None else args.frame
     vehicles = frame_of(recording, number, "--frame")

@@ -22,6 +22,7 @@ from ..report.tables import TextTable, table_text
 from ..run.as_hung import hung_scores, searching
 from ..run.assumptions import assumptions, site_name
 from ..run.vehicle_table import BoxShares, vehicle_tables
+from ..scene.deployment import SearchSpace
 from ..scene.mounting import ANGLES, LEANS, Mounting, changed_mounting, mast_at
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
@@ -48,15 +49,15 @@ def run(args: argparse.Namespace) -> int:
     setbacks = parse_range(args.setback, "--setback", _FARTHEST_M)
     heights = parse_range(args.heights, "--height", _HIGHEST_M)
     scenario = scenario_from(args)
-    if scenario.further_lidars:
+    if scenario.is_layout:
         raise InputError(f"{scenario.source}: [[lidar]]: are {len(scenario.lidars)}; a table is of one: [deployment]")
     scenario = at_one_place(scenario)
-    if scenario.straight is None:
+    if not scenario.road_map.facing_of:
         raise InputError(f"{scenario.source}: [road] is a map; a table of setbacks is of a straight road")
     folder = Path(args.out or default_folder(scenario, "table"))
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"--out: {folder}: is not empty; allowed: a new folder")
-    names = args.sensors.split(",") if args.sensors else [scenario.sensor.name]
+    names = args.sensors.split(",") if args.sensors else [scenario.lidar.sensor.name]
     scenarios = [scenario_from(_with_sensor(args, name)) for name in names]
     mounts = [[mounting_at(one, setback, height) for setback in setbacks for height in heights] for one in scenarios]
     with folder_lock(folder):
@@ -111,15 +112,15 @@ def mounting_at(scenario: Scenario, setback_m: float, height_m: float) -> Mounti
     InputError
         Where the mast of the scene stands over the lanes or between them.
     """
-    road, xy = scenario.road_map, scenario.deployment.nominal_xy
-    side = scenario.road.side_of(xy)
+    road, xy = scenario.road_map, scenario.nominal_xy
+    side = road.side_of(xy)
     if side not in ("right", "left"):
         raise InputError(f"--setback: the scene's mast stands over or between lanes ({side}); allowed: beside the road")
     right, left = road.edges_t
     across = right - setback_m if side == "right" else left + setback_m
     x_m, y_m = road.at(float(road.locate(np.array([xy])).s_m[0]), across).tolist()
-    facing = math.radians(scenario.deployment.facing_at((x_m, y_m)))
-    return replace(scenario.baseline, mast=mast_at(road, x_m, y_m, facing), height_m=height_m)
+    facing = math.radians(scenario.lidar.deployment.facing.at((x_m, y_m), road))
+    return replace(scenario.lidar.baseline, mast=mast_at(road, x_m, y_m, facing), height_m=height_m)
 
 
 def _with_sensor(args: argparse.Namespace, name: str) -> argparse.Namespace:
@@ -130,7 +131,8 @@ def _with_sensor(args: argparse.Namespace, name: str) -> argparse.Namespace:
 def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> tuple[list[dict], list[str]]:
     """Each setback and height with its best tilt, what is detectable there, and whether the best cell is better."""
     scenario, road = site.scenario, site.scenario.road_map
-    axis, place = scenario.deployment.spaces[0].axes[1], scenario.deployment.places[0]
+    place = scenario.lidar.deployment.places[0]
+    axis = SearchSpace((place,)).axes[1]
     angles = {key: place.fixed[key] for key in (*ANGLES, *LEANS) if key in place.fixed}
     tilts = np.linspace(*place.bounds[axis], _TILTS).round(9) if axis in place.bounds else [place.fixed[axis]]
     places = [(setback, height) for setback in setbacks for height in heights]
@@ -165,7 +167,7 @@ def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> t
         cell |= {"difference_to_best": gain, "difference_interval_90": ends}
         cells.append(cell | {"as_good": None if ends is None else bool(ends[1] >= 0.0)})
     on = "held-out" if split == "holdout" else "the searched frames', so without intervals"
-    errors = scenario.deployment.installer.text
+    errors = scenario.lidar.deployment.installer.text
     about = [f"{boxes_text(cells[0])}, {on}; {f'as hung within {errors}' if errors else 'exactly as planned'}"]
     best = cells[top]
     about[0] += f"; {len(cells) * len(tilts):,} mountings in {time.perf_counter() - started:.0f} s"
@@ -181,7 +183,7 @@ def _where(cell: Mapping) -> str:
 
 
 def _text_table(site: Site, cells: Sequence[Mapping], setbacks: Sequence[float], heights: Sequence[float]) -> TextTable:
-    axis, found = site.scenario.deployment.spaces[0].axes[1], iter(cells)
+    axis, found = site.scenario.lidar.deployment.spaces[0].axes[1], iter(cells)
     rows = []
     for setback in setbacks:
         texts = []

@@ -18,7 +18,7 @@ import numpy as np
 from ..casting.culling import Pieces, reachable_beams
 from ..casting.protocol import StandingScenery
 from ..clouds.scan import FrameScan, PointCloud, Turn
-from ..road.road_map import RoadMap
+from ..road.road_map import Flat, RoadMap
 from ..scene import usual
 from ..scene.mounting import Mounting
 from ..scene.observation import Observation, of_scored_class
@@ -222,7 +222,7 @@ def plan_dataset(
 
 def _mount(scenario: Scenario, seed: int, number: int) -> Mounting:
     """The mounting of a number: uniform between the bounds of [deployment], on its poles in turn."""
-    spaces = scenario.deployment.spaces
+    spaces = scenario.lidar.deployment.spaces
     chosen = spaces[number % len(spaces)]
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_MOUNTINGS, number)))
     (mounting,) = chosen.layout(rng.uniform(chosen.lower, chosen.upper))
@@ -347,8 +347,8 @@ def _scenery(plan: DatasetPlan, scan: PlannedScan) -> StandingScenery | None:
     if not world.clutter:
         return scenery
     nothing = {"blend": None, "mesh": None, "boxes": (), "barriers": (), "clutter_seed": scan.seed}
-    flat = replace(plan.scenario.road, crown_percent=0.0)  # its surface stands there already
-    scenario = replace(plan.scenario, world=replace(world, **nothing), road=flat)
+    flat = replace(plan.scenario.road_map, surface=Flat())  # it stands there already
+    scenario = replace(plan.scenario, world=replace(world, **nothing), road_map=flat)
     return standing_scenery(scenario, plan.observation.caster, more=None if scenery is None else scenery.scenery)
 
 

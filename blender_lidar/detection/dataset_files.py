@@ -268,7 +268,8 @@ def _box_columns(made: Sample) -> dict[str, np.ndarray]:
 def _write_npz(folder: Path, made: Sample, plan: DatasetPlan) -> None:
     """The cloud as `scan` writes it, and arrays of the vehicles, one row each, whose names begin with ``box_``."""
     vehicles, scan, seen = made.vehicles, made.scan, plan.observation
-    drawn = replace(plan.scenario, sensor=replace(plan.scenario.sensor, noise_seed=scan.seed))
+    lidar = plan.scenario.lidar
+    drawn = plan.scenario.with_lidars(replace(lidar, sensor=replace(lidar.sensor, noise_seed=scan.seed)))
     sensor = MountedSensor(drawn, scan.mount, seen.lattice, seen.caster, None)
     about = {key: value for key, value in asdict(scan).items() if key not in ("frame", "mount")}
     about["hangs"] = {key: scan.hangs.as_table()[key] for key in MOUNTED}

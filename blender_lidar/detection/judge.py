@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -90,7 +89,7 @@ def watched(site: Site) -> tuple[np.ndarray, np.ndarray]:
     that count in the searched frames keep to that.
     """
     region = site.region
-    if site.scenario.straight is None:
+    if not site.scenario.road_map.endless:
         corners = np.concatenate(region.outlines)
         return corners.min(axis=0), corners.max(axis=0)
     low, high = (np.array(region.centre_xy) + side * region.radius_m for side in (-1.0, 1.0))
@@ -148,8 +147,8 @@ def judging_frames(site: Site) -> tuple[Sequence[Boxes], np.ndarray, np.ndarray]
 
 def hung_off(site: Site, mounting: Mounting) -> Mounting:
     """Where a LiDAR hangs by one draw within the scene's pose error, by its seed and the LiDAR's name."""
-    seed, name = site.scenario.search.seed, site.scenario.lidar_name.encode()
-    return hung_off_by(site.scenario, mounting, np.random.default_rng([seed, zlib.crc32(name)] if name else seed))
+    rng = np.random.default_rng([site.scenario.search.seed, *site.observation.lidar.key])
+    return hung_off_by(site.scenario, mounting, rng)
 
 
 def hung_off_by(scenario: Scenario, mounting: Mounting, rng: np.random.Generator) -> Mounting:
@@ -237,7 +236,7 @@ def judge_detectors(
         classical detectors. Distances are from the nearest LiDAR of the layout in all, so that bands hold the same.
     """
     frames, searched = judging_frames(site)[0], site.search
-    clouds = [clouds_at(one, mounting) for one, mounting in zip(site.each, layout, strict=True)]
+    clouds = [clouds_at(site.with_lidar(number), one) for number, one in enumerate(layout)]
     for detector, of in zip(detectors, clouds, strict=True):
         if detector.learns:
             detector.learn(of_each(partial(range_image, detector, of), searched, workers, advance))
@@ -294,7 +293,7 @@ def judged_from_file(site: Site, layout: Layout, path: str) -> JudgedDetector:
     frames = judging_frames(site)[0]
     boxes = boxes_from_file(path, layout[0].pose, [frame.frame for frame in frames], "judging frames")
     misfit = detections_misfit(boxes, frames)
-    warnings = accepted(misfit, path, site.scenario.traffic.accept)
+    warnings = accepted(misfit, path, site.scenario.recordings[0].accept)
     xy = np.array([[one.xy for one in layout]])
     return judged_boxes(boxes, frames, region_of_alarms(site.region), xy, None, warnings=warnings)
 
@@ -317,7 +316,7 @@ def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]
     """
     frames, block, recording = judging_frames(site)
     mountings, (first, baseline) = {}, next(iter(judged.items()))
-    several = site.scenario.further_lidars
+    several = site.scenario.is_layout
     farthest = max(map(farthest_m, judged.values()), default=0.0)
     for mounting, one in judged.items():
         mountings[mounting] = measured_groups(one, farthest)

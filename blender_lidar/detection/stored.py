@@ -20,7 +20,7 @@ from ..clouds.rings import beam_phase, on_beams
 from ..clouds.scan import PointCloud
 from ..csv_tables import Column
 from ..errors import InputError
-from ..road.straight import StraightRoad, road_map
+from ..road.settings import RoadSettings, map_of
 from ..scene.mounting import COORDINATES, MOUNTED, mounting_from
 from ..scene.provenance import versions
 from ..scene.region import Region, region_of, region_within
@@ -341,7 +341,7 @@ _BY_FRAME = "intervals resample frames: they are too narrow where frames near in
 _ABOUT = {
     **dict.fromkeys(("scene", "sensor", "caster"), Setting(kind=str)),
     "region": Setting(kind=RegionSettings),
-    "road": Setting(kind=StraightRoad),
+    "road": Setting(kind=RoadSettings),
     "layouts": Setting(kind=tuple[str, ...]),
     "seed": Setting(kind=int),
     "watched_m": Setting(kind=tuple[tuple[float, float], ...]),
@@ -426,7 +426,7 @@ def read_dataset(folder: Path) -> StoredDataset:
     if on_map and not outlines:
         raise InputError(f"{path}: is of a map with heights; a detector needs a level map")
     found = TomlTable(about, str(path)).some({key: _ABOUT[key] for key in _ABOUT if not on_map or key not in _OF_ROADS})
-    road = road_map(StraightRoad() if on_map else found["road"])  # both level, and masts say which way they face
+    road = map_of(RoadSettings() if on_map else found["road"])  # both level, and masts say which way they face
     if on_map:
         region = region_within([np.array(one) for one in outlines], about["region"]["keep_out"] or ())
     else:

@@ -24,7 +24,6 @@ from .summary import (
     measured,
     minus,
     of_name,
-    own_table,
     was_searched,
 )
 
@@ -52,7 +51,7 @@ def _search_notes(result):
     """What bounds, fidelity and map say of where the search of a LiDAR has ended."""
     found = []
     for key, (name, unit) in COORDINATE_NAMES.items():
-        bounds, place = _bounds(result, key), result["deployment"].get(key)
+        bounds, place = (result.get("bounds") or {}).get(key), result["deployment"].get(key)
         if not isinstance(bounds, list) or place is None:
             continue
         low, high = bounds
@@ -63,7 +62,13 @@ def _search_notes(result):
         slack = ON_A_BOUND * (high - low)
         upright = key == "lean_deg" and low == 0.0 and place < high - slack  # beyond which nothing lies
         if not low + slack < place < high - slack and not upright:
-            whose = "its pole" if key == "height_m" and result.get("pole") else f"[{own_table(result)}]"
+            whose = (
+                "its pole"
+                if key == "height_m" and result.get("pole")
+                else "its [[lidar]]"
+                if len(result["lidars"]) > 1
+                else "[deployment]"
+            )
             beyond = next_metre_text(result) if key == "height_m" and place > low + slack else ""
             where = "on" if place in bounds else f"within {slack:.2g} {unit} of"
             beyond = beyond or "a value beyond it may be better"
@@ -207,12 +212,6 @@ def _undecided_by_threshold(result):
         f"{every} vehicle is detectable under either mounting on {on}, so the detectable share does not "
         f"distinguish them: [objective] threshold is {threshold:g}; try a {change} one"
     )
-
-
-def _bounds(result, key):
-    """Between what a coordinate was searched, or the number that fixed it; on a pole with heights of its own these."""
-    searched = result.get("bounds") or {}
-    return searched.get(key, result["identity"].get(f"[{own_table(result)}] {key}"))
 
 
 def _map_notes(result):

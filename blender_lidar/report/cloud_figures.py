@@ -82,10 +82,10 @@ def draw_clouds(path: str | Path, site: Site, run: RunFolder) -> None:
     frame = max(site.search, key=lambda candidate: int(candidate.counted.sum()))
     vehicles, sights = frame.select(frame.counted), []
     for table, (name, text, mounts) in zip((run.baseline, run.optimised), sides(run.result), strict=True):
-        each = [(one, one.scenario.mounting(at)) for one, at in zip(site.each, mounts.values(), strict=True)]
-        cloud = joined_clouds([sensor_at(*one).scan(frame) for one in each])
+        hung = [lidar.mounting(at) for lidar, at in zip(site.scenario.lidars, mounts.values(), strict=True)]
+        cloud = joined_clouds([sensor_at(site.with_lidar(k), one).scan(frame) for k, one in enumerate(hung)])
         of_frame = (table["frame"] == vehicles.frame) & (table["split"] == "search")
-        stands = [Stand(name, mounting.xy) for name, (_, mounting) in zip(mounts, each, strict=True)]
+        stands = [Stand(name, mounting.xy) for name, mounting in zip(mounts, hung, strict=True)]
         sights.append(Sight(name, text, stands, cloud.xyz, cloud.vehicle_id, table["detectable"][of_frame]))
     title = f"{run.result['sensor']}: one revolution from above, frame {vehicles.frame}"
     plot_clouds(path, vehicles, sights, title, road=site.scenario.road_map)
@@ -210,16 +210,16 @@ def draw_detections(
     frame, sure = frames[number], []
     for name in filter(judged.get, ("baseline", "given")):  # what parts of a layout find is in the table
         boxes = judged[name].boxes[number].select(judged[name].boxes[number].confidence >= _SURE)
-        each = zip(site.each, layouts[name], strict=True)
-        cloud = joined_clouds([clouds_at(*one)(frame) for one in each])
+        each = enumerate(layouts[name])
+        cloud = joined_clouds([clouds_at(site.with_lidar(number), one)(frame) for number, one in each])
         met = meetings(boxes, frame, region_of_alarms(site.region), CRITERIA[0])
-        called = "Late fusion" if name == "given" and site.scenario.further_lidars else name.capitalize()
+        called = "Late fusion" if name == "given" and site.scenario.is_layout else name.capitalize()
         sure.append(Found(called, layouts[name], cloud, boxes, *met))
     title = f"{sensors_text(site)}: what the detector {Path(detector).stem} finds in frame {frame.frame}"
     of_frames = f"{len(frames)} {'held-out' if len(site.holdout) else 'searched'} frames"
     rule = f"confidence {_SURE:g} or more, hits within {CRITERIA[0].most_m:g} m"
     subtitle = f"{frame.counted.sum()} vehicles, the median of {of_frames}; {rule}"
-    leaning, road = site.scenario.deployment.places[0].leans, site.scenario.road_map
+    leaning, road = site.scenario.lidars[0].deployment.places[0].leans, site.scenario.road_map
     plot_detections(path, frame, sure, title, subtitle, leaning=leaning, road=road)
 
 
@@ -317,7 +317,7 @@ def draw_occupancy(path: str | Path, site: Site, run: RunFolder) -> None:
     size_m, cell_m = counted.size_m[index], site.observation.cell_m
     grids = []
     for _, _, mounts in sides(run.result):
-        each = zip(site.scenario.each, mounts.values(), strict=True)
+        each = zip(site.scenario.lidars, mounts.values(), strict=True)
         points, owner = scorer.vehicle_points(*(one.mounting(at).pose for one, at in each))
         grids.append(occupancy_views(points[owner == index], size_m, cell_m))
     plot_occupancy(

@@ -42,14 +42,14 @@ def installation_text(site: Site, result: Mapping, charts: Collection[str] = ())
     `result` is as `summary.each_lidar` gives it for the LiDAR that the site has alone; `charts` lie beside it.
     """
     mount = result["deployment"]
-    mounting = site.scenario.mounting(mount)
+    mounting = site.scenario.lidar.mounting(mount)
     plumb = replace(mounting, mast=Mast(facing_rad=mounting.mast.facing_rad))
     right, ahead, _ = plumb.pose.to_world(np.eye(3))  # the sensor's axes; at zero azimuth it looks ahead
     falls = [f"{-math.degrees(math.asin(axis[2])) + 0.0:.1f} deg" for axis in (ahead, right)]
     road, standing = site.scenario.road, site.observation.scenery
     travel = "the direction of travel" + (f" on the {road.drives_on} carriageway" if road.carriageways == 2 else "")
-    along, across = (" along the road", " across it") if site.scenario.straight else ("", " in the site frame")
-    travel = travel if site.scenario.straight else "the nearest lane's direction"
+    along, across = (" along the road", " across it") if site.scenario.road_map.endless else ("", " in the site frame")
+    travel = travel if site.scenario.road_map.endless else "the nearest lane's direction"
     bearing = partial(_bearing, site, ahead_rad=site.scenario.road_map.direction(mounting.xy), travel=travel)
     at = pointing(site, mounting)
     modelled = standing is not None and len(standing.scenery.beside_road) > 0
@@ -65,7 +65,7 @@ def installation_text(site: Site, result: Mapping, charts: Collection[str] = ())
         f"             {_beside(site, mounting)}",
         f"On the map   x {at['x_m']:.2f} m, y {at['y_m']:.2f} m in the recording's coordinates ({at['frame']});",
         "             bearings below are clockwise from their +y, which is north where y points north",
-        f"Mast         faces {bearing(plumb.mast.axes[1])}",
+        f"Mast         faces {bearing(plumb.mast.T_site_mast.rotation[1])}",
         f"Lean         {_lean(at)}",
         f"             (before yaw: {mount['tilt_x_deg']:.1f} deg down to where the mast faces, "
         f"{mount['tilt_y_deg']:.1f} deg up to the right of it)",
@@ -133,10 +133,10 @@ def _slopes(site):
             "the height is plumb, above the plane of the road where that meets the mast,",
             "and lean, yaw and falls are against the vertical, not the road",
         ]
-    if site.scenario.straight is None and not site.scenario.road_map.surface.is_flat:
+    if site.scenario.road_map.surface.is_ground:
         lines += ["The road has the heights of its map: the height is plumb, above the nearest lane at the mast"]
     if road.crown_percent:
-        height = float(road.surface.triangles((0.0, 0.0), 1.0)[..., 2].max())
+        height = float(site.scenario.road_map.surface.triangles((0.0, 0.0), 1.0)[..., 2].max())
         lines.append(f"The road's surface is that of the carriageway's edges; its middle is {height:.2f} m higher")
     return [f"             {line}" for line in lines]
 
@@ -147,7 +147,7 @@ def _beside(site, mounting):
     away, side = road.clearance(mounting.xy)
     if road.within(np.array([mounting.xy]))[0]:
         return f"over a lane, {abs(away):.2f} m from its {side} edge, seen in its direction of travel"
-    where = "in the median, " if site.scenario.in_median(mounting.xy) else ""
+    where = "in the median, " if road.side_of(mounting.xy) == "median" else ""
     return f"{where}{away:.2f} m from the edge of the nearest lane, to the {side} of its traffic"
 
 
@@ -161,7 +161,7 @@ def _lean(at):
 
 def _bearing(site, axis, ahead_rad, travel):
     """Where an axis (3,) points, seen from above, for people on a road that goes ahead in the direction of `travel`."""
-    if site.scenario.straight is None:
+    if not site.scenario.road_map.endless:
         return f"bearing {bearing_deg(site, axis[:2]):.0f} deg"
     left = ("+y", "-x", "-y", "+x")  # of the site frame, by the quarter turns of the road in it
     quarter = round(ahead_rad / (0.5 * math.pi))

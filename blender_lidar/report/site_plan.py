@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..road.road_map import RoadMap
-from ..road.straight import StraightRoad, road_map
+from ..road.settings import RoadSettings, map_of
 from ..traffic.layout import RoadLayout
 from ..traffic.vehicles import Recording, counted
 from .figure import INK, WIDTH_MM, header_mm, place, sheet
@@ -58,12 +58,12 @@ def plot_site_plan(recording: Recording, layout: RoadLayout, path: str | Path, a
     Errors as `figure.sheet`.
     """
     xy = recording.centre_m[:, :2]
-    turned = recording.heading_rad - math.radians(layout.placing.heading_deg)
+    turned = recording.heading_rad - math.radians(layout.heading_deg)
     both_ways = layout.road.carriageways == 2
     along = np.abs(np.sin(turned)) <= math.sin(_WITHIN_RAD)
     along &= both_ways | (np.cos(turned) > 0.0)
     colours = np.where(along, _ALONG, _OTHER)
-    road = layout.placing.points(xy)
+    road = layout.T_file_site.inverse.points(xy)
     title = "Proposed site"
     subtitle = (
         f"{_name_of(recording)}: {layout.vehicles + layout.oncoming:,} vehicles on {road_text(layout.road)}; pole "
@@ -96,7 +96,7 @@ _TITLE_MM, _LABELS_MM, _KEY_MM = 6.0, 12.0, 13.0
 _THINNEST = 0.12  # height over width of the whole plan at least
 
 
-def road_text(road: StraightRoad) -> str:
+def road_text(road: RoadSettings) -> str:
     """Carriageways, lanes and median of a road, in words."""
     lanes = "1 lane" if road.lanes == 1 else f"{road.lanes} lanes"
     if road.carriageways == 1:
@@ -135,25 +135,25 @@ def _draw_points(axes, xy, colours, size):
 def _draw_all(axes, xy, colours, layout):
     """The whole recording in the file's plane, and where the road frame lies in it."""
     _draw_points(axes, xy, colours, 1.0)
-    turn = math.radians(layout.placing.heading_deg)
+    turn = math.radians(layout.heading_deg)
     axes_of_road = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])  # rows: x and y
     first, last = layout.stretch_m
     for right, left in layout.road.carriageways_y:
         outline = np.array([[first, right], [last, right], [last, left], [first, left], [first, right]])
-        outline = layout.placing.origin_m + outline @ axes_of_road
+        outline = layout.origin_m + outline @ axes_of_road
         axes.fill(*outline.T, **_REGION_LOOK)
         axes.plot(*outline.T, color=INK, linewidth=1.0)
     draw_stands(axes, [Stand("", layout.pole_m)])
     size = 0.02 * float(np.ptp(axes.get_xlim()))
     y = layout.pole_y + (size if layout.pole_y else -size)
-    arrow(axes, *(layout.placing.origin_m + np.array([[0.0, y], [4.0 * size, y]]) @ axes_of_road))
+    arrow(axes, *(layout.origin_m + np.array([[0.0, y], [4.0 * size, y]]) @ axes_of_road))
     axes.grid()
 
 
 def _draw_near(axes, road, colours, layout, window):
     """The road frame about the pole."""
     shown = ((road > window[0]) & (road < window[1])).all(axis=1)
-    proposed = road_map(layout.road)
+    proposed = map_of(layout.road)
     draw_road(axes, proposed, window)
     _draw_points(axes, road[shown], colours[shown], 1.6)
     for edges in layout.road.carriageways_y:
@@ -173,7 +173,7 @@ def _draw_across(axes, road, layout, limits):
     axes.barh(edges[:-1], counts, height=0.25, align="edge", color=_ALONG)
     for y in np.ravel(layout.road.carriageways_y):
         axes.axhline(y, color=INK, linewidth=1.0)
-    for y in road_map(layout.road).offset_m:
+    for y in map_of(layout.road).offset_m:
         axes.axhline(y, **_CENTRE_LOOK)
     axes.xaxis.get_major_locator().set_params(integer=True, nbins=3)
     axes.set(xlabel="Boxes", title="Driven where", yticklabels=[], ylim=limits)

@@ -36,9 +36,8 @@ def each_lidar(result: Mapping) -> dict[str, Mapping]:
     if len(rows) < 2:
         return {"": result}
     spread = result["spread"] or {}
-    for number, row in enumerate(rows, start=1):
-        name, table = row["name"], "lidar" if number == 1 else f"lidar {number}"
-        own = {"table": table, "baseline": {**result["baseline"], "deployment": row["baseline"]}}
+    for row in rows:
+        name, own = row["name"], {"baseline": {**result["baseline"], "deployment": row["baseline"]}}
         if intervals := spread.get("optimum_interval_90"):  # names stand there where several are searched
             of = {key.rpartition(".")[::2]: ends for key, ends in intervals.items()}
             of = {key: ends for (lidar, key), ends in of.items() if lidar == name or (not lidar and row["bounds"])}
@@ -50,11 +49,6 @@ def each_lidar(result: Mapping) -> dict[str, Mapping]:
 def of_name(name: str, text: str) -> str:
     """A text behind the name of the LiDAR that it is about; that of a single one has none."""
     return f"{name}: {text}" if name else text
-
-
-def own_table(result: Mapping) -> str:
-    """The table of the scene that says where the LiDAR may hang."""
-    return result.get("table") or ("lidar" if "[lidar] name" in result.get("identity", ()) else "deployment")
 
 
 def was_searched(result: Mapping) -> bool:
@@ -101,7 +95,7 @@ def run_text(result: Mapping, *, held_out: bool = False) -> str:
 
 def leans(result: Mapping) -> bool:
     """Whether a run speaks of a lean and its direction, as its scene does, and not of tilts and yaw."""
-    return result.get("identity", {}).get(f"[{own_table(result)}] lean_deg") is not None
+    return (result.get("lidars") or [result])[0].get("leans", False)
 
 
 def mounting_text(mount: Mapping[str, float], *, leans: bool = False) -> str:

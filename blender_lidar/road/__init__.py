@@ -1,6 +1,5 @@
 """Where the lanes and the surface of a site are: `road_map.RoadMap`, made by one file for each source."""
 
-from .mapped import MappedRoad, Road
-from .straight import StraightRoad
+from .settings import RoadSettings, map_of
 
-__all__ = ["MappedRoad", "Road", "StraightRoad"]
+__all__ = ["RoadSettings", "map_of"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .road_map import Flat, Located, RoadMap
+from .road_map import Flat, RoadMap
 
 _CELL_M = 0.25
 _MOST_CELLS = 40_000_000
@@ -16,8 +16,6 @@ _MOST_CELLS = 40_000_000
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivenArea(RoadMap):
     """A road without lanes: the cells of a grid that lie under a vehicle at some time.
-
-    Stations are x and offsets y of the site frame; no place has a lane.
 
     Attributes
     ----------
@@ -30,11 +28,6 @@ class DrivenArea(RoadMap):
     corner_m: tuple[float, float] = (0.0, 0.0)
     cells: np.ndarray = None
 
-    def locate(self, xy: np.ndarray, heading_rad: np.ndarray | None = None) -> Located:
-        """No lane anywhere: x as station, y as offset, (n,) each; see `RoadMap.locate`."""
-        x, y = np.asarray(xy, dtype=float)[:, :2].T
-        return Located(np.full(len(x), -1), x, y, np.zeros(len(x)))
-
     def on(self, xy: np.ndarray) -> np.ndarray:
         """Which places (n, 2) [m] lie where vehicles drive, (n,) bool."""
         column, row = np.floor((np.asarray(xy, dtype=float)[:, :2] - self.corner_m) / _CELL_M).astype(int).T
@@ -46,10 +39,6 @@ class DrivenArea(RoadMap):
         """Which places (n, 2) [m] lie where vehicles drive, (n,) bool."""
         return self.on(xy)
 
-    def stretch(self, xy: Sequence[float], reach_m: float) -> tuple[float, float]:
-        """The x between which the area lies within reach of a place [m]."""
-        return float(xy[0]) - reach_m, float(xy[0]) + reach_m
-
     def nearest(self, xy: Sequence[float]) -> np.ndarray:
         """The nearest driven place, (1, 2) [m]."""
         row, column = np.nonzero(self.cells)
@@ -60,10 +49,6 @@ class DrivenArea(RoadMap):
         """How far a place lies from where vehicles drive [m], below 0 on it; no side of traffic is known."""
         away = float(np.hypot(*(self.nearest(xy)[0] - xy))) - 0.5 * _CELL_M
         return (-0.5 * _CELL_M if self.on(np.array([xy]))[0] else max(away, 0.0)), ""
-
-    def direction(self, xy: Sequence[float]) -> float:
-        """The x axis of the site frame, as nothing shows a direction of travel [rad]."""
-        return 0.0
 
     def edges_across(self, xy: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
         """The nearest places on both sides, along x, where nobody drives, (2,) each [m]."""
@@ -86,10 +71,6 @@ class DrivenArea(RoadMap):
             for run in runs:
                 open_runs.setdefault(run, row)
         return found
-
-    def lines(self, s_m: tuple[float, float]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Nothing: no edge and no lane line is known."""
-        return [], []
 
 
 def driven_area(centre_m: np.ndarray, size_m: np.ndarray, heading_rad: np.ndarray) -> DrivenArea | None:

@@ -43,6 +43,11 @@ class MappedSurface:
         """Whether it is the plane z = 0."""
         return not (self.start_m[:, 2].any() or self.end_m[:, 2].any())
 
+    @property
+    def is_ground(self) -> bool:
+        """Whether it lies everywhere in place of the plane z = 0."""
+        return not self.is_flat
+
     def height(self, xy: np.ndarray) -> np.ndarray:
         """Height above the plane z = 0 at places (..., 2 or 3) [m], (...); that of the nearest centre line."""
         places = np.asarray(xy, dtype=float)[..., :2]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple, Protocol
 
@@ -13,6 +14,7 @@ import numpy as np
 from ..names import SIDES
 
 _ON_EDGE_M = 1e-9  # what lies this near to an edge lies on it
+_ON_SIDE_M = 1e-5  # what lies this near to an edge of a carriageway stands beside it
 _LARGEST_M = 1e9  # beyond all distances
 _MOST_PAIRS = 400_000  # of places and segments that are looked at together
 _CELL_M = 16.0  # side of the square cells in which more places are looked at together
@@ -144,6 +146,10 @@ class Surface(Protocol):
     def is_flat(self) -> bool:
         """Whether it is the plane z = 0."""
 
+    @property
+    def is_ground(self) -> bool:
+        """Whether it lies everywhere in place of the plane z = 0, and not on it."""
+
     def height(self, xy: np.ndarray) -> np.ndarray:
         """Height above z = 0 at places (n, 2) [m], (n,)."""
 
@@ -160,6 +166,11 @@ class Flat:
         """That it is."""
         return True
 
+    @property
+    def is_ground(self) -> bool:
+        """That it is the plane itself."""
+        return False
+
     def height(self, xy: np.ndarray) -> np.ndarray:
         """Height above z = 0 at places (..., 2) [m], (...,)."""
         return np.zeros(np.shape(xy)[:-1])
@@ -172,6 +183,8 @@ class Flat:
 @dataclass(frozen=True, slots=True, eq=False)
 class RoadMap:
     """Lanes as centre lines with widths, in the site frame; the same for a straight road and for a net.
+
+    A road may have no lanes: stations are then x, offsets y of the site frame, and what asks for lanes gets none.
 
     Attributes
     ----------
@@ -199,6 +212,10 @@ class RoadMap:
         Where roads meet; their areas are road too.
     drives_on : str
         The side of the road on which vehicles drive.
+    carriageways_t : tuple of (float, float)
+        Right and left edge of each carriageway of a road without ends, as offsets, from the right [m]; else none.
+    facing_of : mapping of str to float
+        Which way masts face that stand on a side of such a road, square to it [rad]; none where a road has no sides.
     """
 
     points_m: tuple[np.ndarray, ...]
@@ -213,6 +230,8 @@ class RoadMap:
     lanes: tuple[Lane, ...] = ()
     junctions: tuple[Junction, ...] = ()
     drives_on: str = SIDES[0]
+    carriageways_t: tuple[tuple[float, float], ...] = ()
+    facing_of: Mapping[str, float] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.points_m)
@@ -220,8 +239,21 @@ class RoadMap:
     @property
     def edges_t(self) -> tuple[float, float]:
         """Offsets of the outermost edges from the reference line, to the right and to the left [m]."""
+        if not len(self):
+            return 0.0, 0.0
         half = 0.5 * self.width_m
         return float((self.offset_m - half).min()), float((self.offset_m + half).max())
+
+    def side_of(self, xy: Sequence[float]) -> str:
+        """The side of a road without ends on which a place [m] lies, a gantry's over a carriageway; else nothing."""
+        if not self.carriageways_t:
+            return ""
+        edges, t = self.carriageways_t, float(self.locate(np.array([xy], dtype=float)).t_m[0])
+        if t <= edges[0][0] + _ON_SIDE_M or t >= edges[-1][1] - _ON_SIDE_M:
+            return "right" if t <= edges[0][0] + _ON_SIDE_M else "left"
+        over = any(right + _ON_SIDE_M < t < left - _ON_SIDE_M for right, left in edges)
+        parted = any(before[1] < after[0] for before, after in itertools.pairwise(edges))
+        return "gantry" if over or not parted else "median"
 
     @property
     def axis(self) -> np.ndarray | None:
@@ -238,6 +270,8 @@ class RoadMap:
         and without one the lane whose middle is nearest.
         """
         xy = np.asarray(xy, dtype=float)[:, :2]
+        if not len(self):
+            return Located(np.full(len(xy), -1), *xy.T, np.zeros(len(xy)))
         found = [np.zeros(len(xy), dtype=kind) for kind in (int, float, float, float)]
         for rows, pieces in _together(_segments(self), xy):
             near = self._near(pieces, xy[rows])
@@ -265,6 +299,8 @@ class RoadMap:
 
     def at(self, s_m: np.ndarray, t_m: np.ndarray, lane: int = 0) -> np.ndarray:
         """Places at stations and offsets from the reference line of a lane, (..., 2) [m, site frame]."""
+        if not len(self):
+            return np.stack(np.broadcast_arrays(np.asarray(s_m, dtype=float), t_m), axis=-1)
         line, s_m, station = self.points_m[lane], np.asarray(s_m, dtype=float), self.stations(lane=lane)
         segment = np.clip(np.searchsorted(station, s_m, side="right") - 1, 0, len(station) - 2)
         step = np.diff(line, axis=0)
@@ -276,6 +312,8 @@ class RoadMap:
 
     def stations(self, s_m: tuple[float, float] | None = None, lane: int = 0) -> np.ndarray:
         """Stations of a lane's corners, (k,) [m]; of those between two others, and these, nothing where it is not."""
+        if not len(self):
+            return np.array([] if s_m is None or s_m[1] <= s_m[0] else s_m, dtype=float)
         station = np.cumsum(np.hypot(*np.diff(self.points_m[lane], axis=0).T))
         station = self.station_m[lane] + np.concatenate([[0.0], station])
         if s_m is None:
@@ -314,6 +352,8 @@ class RoadMap:
 
     def nearest(self, xy: Sequence[float]) -> np.ndarray:
         """The nearest place on the middle of each lane, (l, 2) [m]."""
+        if not len(self):
+            return np.zeros((0, 2))
         pieces = _segments(self)
         near = self._near(pieces, np.array([xy], dtype=float))
         best = near.segment[0]
@@ -321,15 +361,19 @@ class RoadMap:
 
     def clearance(self, xy: Sequence[float]) -> tuple[float, str]:
         """How far a place lies from the nearest edge of a lane that is driven on [m], below 0 on it, and on which side
-        of its traffic.
+        of its traffic; infinitely far, on no side, where there is none.
         """
         road = self.driven
+        if not len(road):
+            return math.inf, ""
         lane, near = road._nearest_lane(xy)
         left = (near.t[0, lane] > 0.0) != bool(road.against[lane])
         return float(near.away[0, lane] - near.half[0, lane]), "left" if left else "right"
 
     def direction(self, xy: Sequence[float]) -> float:
         """Which way the stations of the nearest lane rise at a place, counter-clockwise from +x [rad]."""
+        if not len(self):
+            return 0.0
         lane, near = self._nearest_lane(xy)
         return float(_segments(self).direction[near.segment[0, lane]] + math.pi * self.against[lane])
 

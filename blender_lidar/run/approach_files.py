@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from ..files import to_csv, write_text
-from ..road.mapped import MappedRoad
+from ..road.settings import RoadSettings
 from ..scene.site import Site
 from .folder import RunFolder
 from .vehicle_table import APPROACH, MOVEMENT
@@ -45,7 +45,7 @@ def _outlines(site: Site, result: Mapping, rows: Mapping[str, Mapping]) -> dict[
     of the older GeoJSON of 2008 that GIS programs read, names the zone; else the program must be told.
     """
     road, region = site.scenario.road_map, site.region
-    if not isinstance(site.scenario.road, MappedRoad) or not region.spans:
+    if not region.spans:
         return None
     offset, zone = _projected(site.scenario.road)
     placed = partial(_placed, offset=np.add(site.scenario.road.origin_m, offset))
@@ -57,7 +57,7 @@ def _outlines(site: Site, result: Mapping, rows: Mapping[str, Mapping]) -> dict[
     for lidar in result["lidars"]:
         mount = lidar["deployment"]
         (foot,) = placed([(mount["x_m"], mount["y_m"])])[:1]
-        features.append(_feature("Point", foot, {"name": lidar["name"] or "LiDAR", **mount}))
+        features.append(_feature("Point", foot, {"name": lidar["name"], **mount}))
     named = {"crs": {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{zone}"}}} if zone else {}
     return {"type": "FeatureCollection", **named, "features": features}
 
@@ -76,7 +76,7 @@ def _placed(outline: Sequence[Sequence[float]], offset: np.ndarray) -> list[list
     return [*corners, corners[0]]
 
 
-def _projected(road: MappedRoad) -> tuple[np.ndarray, int | None]:
+def _projected(road: RoadSettings) -> tuple[np.ndarray, int | None]:
     """What makes projected coordinates of a net's [m], and EPSG's number of its UTM zone; zeros and None otherwise."""
     if not road.net:
         return np.zeros(2), None

@@ -41,8 +41,11 @@ def assumptions(site: Site, table: Mapping[str, np.ndarray]) -> list[str]:
     """
     grade, found = site.scenario.road.grade_percent, [*_heights(site.recording), *site.recording.report.assumed]
     found += installation_assumed(site.scenario)
-    for model in {one.model.name: one.model for one in site.each}.values():
-        sensor, file = model.assumptions, "The sensor's file" if len(site.each) == 1 else f"The file of {model.name}"
+    for model in {one.name: one for one in site.models}.values():
+        sensor, file = (
+            model.assumptions,
+            f"The file of {model.name}" if site.scenario.is_layout else "The sensor's file",
+        )
         found += [f"{file} leaves open, and is taken to mean: {'; '.join(sensor.values())}"] if sensor else []
         found += [f"Of {file[0].lower()}{file[1:]}: {'; '.join(model.notes)}"] if model.notes else []
     if grade:
@@ -50,9 +53,9 @@ def assumptions(site: Site, table: Mapping[str, np.ndarray]) -> list[str]:
         found.append(
             f"The road is one plane that {way} by {abs(grade):g} % along x, its surface without a bend or crest"
         )
-    gantries = {lidar.deployment.clearance_m for lidar in site.scenario.lidars if lidar.deployment.side == "gantry"}
+    gantries = {lidar.deployment.clearance_m for lidar in site.scenario.lidars if lidar.deployment.is_gantry}
     found += [f"Over the lanes {clearance_m:g} m are kept clear under the LiDAR" for clearance_m in sorted(gantries)]
-    if len(site.each) > 1:
+    if site.scenario.is_layout:
         found.append(
             "The LiDARs turn and measure at one moment, calibrated without error and undisturbed by one another: fused "
             "scores are an upper bound (a tenth of a second is 1.4 m at 14 m/s)"

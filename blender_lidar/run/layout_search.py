@@ -18,8 +18,8 @@ from ..optimise import Search
 from ..optimise.hardened import Polish
 from ..optimise.multi_fidelity import Asked
 from ..scene.deployment import Place, SearchSpace, variable_of
-from ..scene.lidars import free_places
 from ..scene.mounting import Layout, Mounting
+from ..scene.poles import free_places
 from ..scene.scene_tables import LEAST_BUDGET
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator

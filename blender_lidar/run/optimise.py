@@ -65,15 +65,16 @@ def optimise_site(site: Site, folder: RunFolder, listener: Listener, *, resume: 
         When the folder holds a run with other settings.
     """
     started = time.perf_counter()
-    spaces, pole = site.scenario.deployment.spaces, None
+    pole = None
     replay = Replay(folder, site.identity, resume=resume)
     folder.write_scene(site.scenario)
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        if site.scenario.further_lidars:
+        if site.scenario.is_layout:
             return _conclude(site, folder, evaluator, started, search_layout(site, evaluator, replay, listener))
+        spaces = site.scenario.lidar.deployment.spaces
         every = [search_place(site, space, evaluator, replay, listener) for space in spaces]
         rows, best = None, 0
-        if site.scenario.deployment.poles:
+        if site.scenario.lidar.deployment.poles:
             rows, best = rank_places(site, evaluator, spaces, [found.layouts["optimised"] for found in every])
             pole = spaces[best].places[0].pole
         others = sum(found.evaluations for found in every if found is not every[best])
@@ -164,11 +165,11 @@ def _conclude(
     scenario, metric, seed = site.scenario, metric_named(site.scoring.metric), site.scenario.search.seed
     for name, (history, variables) in zip((HISTORY, HISTORY_CANDIDATES), found.histories, strict=False):
         folder.write_history(name, history, variables)
-    names = [lidar.name for lidar in scenario.lidars]
+    names = scenario.names
     of_maps = {best_of_map(name): one[1] for name, one in zip(names, found.maps, strict=True) if one is not None}
     for name, on_map in zip(names, found.maps, strict=True):
         if on_map is not None:
-            folder.write_score_map(on_map[0], name if len(names) > 1 else "")
+            folder.write_score_map(on_map[0], name)
     if poles is not None:
         folder.write_ranking(poles)
     splits = {"search": evaluator, "holdout": evaluator.held_out}
@@ -201,7 +202,7 @@ def _conclude(
         "sensor": sensors_text(site),
         "range_gate_m": scenario.range_gate_m,
         "region": scenario.as_tables()["region"],
-        "imperfections": scenario.sensor.imperfections_as_table(),
+        "imperfections": scenario.lidars[0].sensor.imperfections_as_table(),
         "scenery": scenery_counts(site),
         "caster": site.observation.caster,
         "detail": site.observation.detail,
@@ -278,9 +279,10 @@ def _lidar_rows(
     """
     layout, seed, rows = found.layouts["optimised"], site.scenario.search.seed, []
     weight = float(evaluator.weight.sum())
-    of_each = zip(site.each, layout, site.scenario.baselines, found.spaces, found.maps, strict=True)
-    for number, (one, mounting, baseline, space, on_map) in enumerate(of_each):
-        name, map_row = one.scenario.lidar_name, None
+    scenario = site.scenario
+    of_each = zip(scenario.lidars, scenario.names, site.models, layout, found.spaces, found.maps, strict=True)
+    for number, (lidar, name, model, mounting, space, on_map) in enumerate(of_each):
+        map_row = None
         if on_map is not None:
             called = {"optimised": "optimised", BASELINE_NAME: BASELINE_NAME, "best_of_map": best_of_map(name)}
             hung = {key: objective[own] / weight for key, own in called.items()}
@@ -288,12 +290,13 @@ def _lidar_rows(
             map_row = map_verdict(on_map[0], hung, searched, gained, seed)
             map_row["polished"] = number in found.polished
         row = {
-            "name": name,
-            "sensor": one.model.name,
-            "range_gate_m": one.scenario.sensor.range_gate_m,
-            "imperfections": one.scenario.sensor.imperfections_as_table(),
-            "price": one.scenario.sensor.price,
-            "installer": one.scenario.deployment.installer.as_setting(),
+            "name": lidar.name,
+            "sensor": model.name,
+            "range_gate_m": lidar.sensor.range_gate_m,
+            "imperfections": lidar.sensor.imperfections_as_table(),
+            "price": lidar.sensor.price,
+            "installer": lidar.deployment.installer.as_setting(),
+            "leans": lidar.deployment.places[0].leans,
             "map": map_row,
             "bounds": None if space is None else {key: list(ends) for key, ends in space.places[0].bounds.items()},
             "deployment": mounting.as_table(),
@@ -301,8 +304,8 @@ def _lidar_rows(
             "next_metre": None if space is None else next_metre(site, evaluator, space, layout),
         }
         if len(layout) > 1:
-            row["pole"] = _pole_row(one.scenario.deployment.pole_at(mounting.xy))
-            row["baseline"] = baseline.as_table()
+            row["pole"] = _pole_row(lidar.deployment.pole_at(mounting.xy))
+            row["baseline"] = lidar.baseline.as_table()
         rows.append(row)
     return rows
 

@@ -120,7 +120,7 @@ def search_place(
         histories.insert(0, (hung.history, space.variables))
     if spreads:
         spread = _spread(site, space, seeds, (x, sums), evaluator.weight, answer)
-    layouts = {"optimised": space.layout(answer), BASELINE_NAME: (scenario.baseline,)}
+    layouts = {"optimised": space.layout(answer), BASELINE_NAME: scenario.baselines}
     on_map = None if score_map is None else (score_map, space.layout(_on_map(space, score_map, best.best_x)))
     return SearchOutcome(
         layouts, searches, histories, (space,), (on_map,), spread, {0} if polished else set(), without_block

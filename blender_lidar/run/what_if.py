@@ -207,7 +207,7 @@ def mixes(site: Site, near_to: Sequence[float]) -> list[Mix]:
     they come from each approach, there alone, which takes one draw, and shares of them are in all of the site; there is
     no rush hour and no queue, as how queues stand across a map's lanes is not modelled.
     """
-    straight, light = site.scenario.straight is not None, "a quarter of the vehicles"
+    straight, light = site.scenario.road_map.endless, "a quarter of the vehicles"
     found = _lorries_by_lane(site, near_to) if straight else _lorries_by_approach(site)
     found.append(Mix("light traffic", light, partial(thinned, share=_LIGHT), True))
     if straight:
@@ -288,7 +288,7 @@ def other_traffic(site: Site, layout: Layout) -> dict[str, object]:
         changed = [mix.change(few, seed=seed + draw) for draw in range(_DRAWS if mix.is_drawn else 1)]
         rows.append(mix.told | _coverage(changed, layout, errors))
     recorded = _coverage([with_traffic(few, lambda vehicles: vehicles)], layout, errors)
-    in_place = site.scenario.straight is None
+    in_place = not site.scenario.road_map.endless
     return {
         "frames": len(few.holdout),
         "recorded": recorded,

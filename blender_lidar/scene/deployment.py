@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError, shown, unknown_name
 from ..names import SIDES
-from ..road.mapped import Road, map_of
-from ..road.straight import StraightRoad
 from ..toml_table import Setting, setting, settings_of
-from .mounting import ANGLES, LEANS, Layout, Mounting, mounting_from
+from .mounting import ANGLES, LEANS, SQUARE, Layout, Mounting, mounting_from
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -198,8 +196,7 @@ class Pole:
     existing : bool or None
         Whether it stands already.
     facing_deg : float or None
-        Which way it faces, counter-clockwise from +x; that of [deployment] unless said, or towards the road where
-        that says nothing either and `Deployment.faces_road`.
+        Which way it faces, counter-clockwise from +x; as [deployment] says unless said.
     """
 
     name: str
@@ -214,6 +211,33 @@ class Pole:
 
 
 @dataclass(frozen=True, slots=True)
+class Facing:
+    """Which way masts face: one direction, towards a place, or else square to the road from the side they stand on.
+
+    Attributes
+    ----------
+    angle_deg : float or None
+        The one direction, counter-clockwise from +x.
+    towards_m : (float, float) or None
+        The place [m, site frame].
+    """
+
+    angle_deg: float | None = None
+    towards_m: tuple[float, float] | None = None
+
+    def at(self, xy: Sequence[float], road: RoadMap) -> float:
+        """Which way a mast faces whose foot stands at a place [m] beside a road, counter-clockwise from +x [degrees].
+
+        A road without sides says nothing: the mast faces its +y axis.
+        """
+        if self.angle_deg is not None:
+            return self.angle_deg
+        if self.towards_m is not None:
+            return math.degrees(math.atan2(self.towards_m[1] - xy[1], self.towards_m[0] - xy[0]))
+        return math.degrees(road.facing_of.get(road.side_of(xy), SQUARE))
+
+
+@dataclass(frozen=True, slots=True)
 class Place:
     """Where one LiDAR may hang: which of its coordinates stay, and between what bounds the others are searched.
 
@@ -223,22 +247,19 @@ class Place:
         Coordinates that stay [m, degrees]; those of the orientation are tilts and yaw, or lean, direction and spin.
     bounds : mapping of str to (float, float)
         The others, in the order of `MOUNTING_OR_LEAN`.
-    road : Road
+    facing : Facing
+        Which way its mast faces, wherever it stands.
+    road : RoadMap
         What its mast stands on.
     pole : Pole or None
         The candidate pole that it is, if it is one.
-    map : RoadMap or None
-        The road, where it has been read already.
-    towards : (float, float) or None
-        The place that its mast faces from wherever it stands [m]; none where `fixed` says the direction.
     """
 
     fixed: Mapping[str, float]
     bounds: Mapping[str, tuple[float, float]]
-    road: Road = field(default=StraightRoad(), repr=False)
+    facing: Facing
+    road: RoadMap = field(repr=False, compare=False)
     pole: Pole | None = None
-    map: RoadMap | None = field(default=None, repr=False, compare=False)
-    towards: tuple[float, float] | None = None
 
     def span(self, key: str) -> tuple[float, float]:
         """From where to where a coordinate may be; twice the same where it is fixed."""
@@ -256,15 +277,14 @@ class Place:
 
     @property
     def leans(self) -> bool:
-        """Whether its orientation is given by a lean."""
-        return "lean_deg" in self.fixed or "lean_deg" in self.bounds
+        """Whether its orientation is given by a lean, and not by tilts and yaw."""
+        return not self.bounds.keys().isdisjoint(LEANS) or not self.fixed.keys().isdisjoint(LEANS)
 
     def mounting(self, x: Sequence[float]) -> Mounting:
         """The mounting where the searched coordinates have the values `x`."""
         table = {**self.fixed, **dict(zip(self.bounds, (float(one) for one in x), strict=True))}
-        if self.towards is not None:
-            table["facing_deg"] = facing_deg((table["x_m"], table["y_m"]), self.towards)
-        return mounting_from(table, map_of(self.road) if self.map is None else self.map)
+        table["facing_deg"] = self.facing.at((table["x_m"], table["y_m"]), self.road)
+        return mounting_from(table, self.road)
 
 
 def fixed_beside(fixed: Mapping[str, float], given: Collection[str]) -> dict[str, float]:
@@ -273,11 +293,6 @@ def fixed_beside(fixed: Mapping[str, float], given: Collection[str]) -> dict[str
     if LEANS[0] not in {*fixed, *given}:  # a direction says nothing without a lean
         rivals |= set(LEANS)
     return {key: value for key, value in fixed.items() if key in MOUNTING_OR_LEAN and key not in rivals}
-
-
-def facing_deg(xy: Sequence[float], towards: Sequence[float]) -> float:
-    """Which way a mast at a place faces that faces another one, counter-clockwise from +x [degrees]."""
-    return math.degrees(math.atan2(towards[1] - xy[1], towards[0] - xy[0]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,119 +368,82 @@ def variable_of(name: str, key: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Deployment:
-    """[deployment]: what of the mounting is fixed and what is searched, on one place or on candidate poles.
+    """Where a LiDAR may hang: its candidate places, each searched by itself, and how well it will be hung there.
 
     Attributes
     ----------
-    fixed, bounds
-        As of a `Place`; with poles, without x and y.
-    poles : tuple of Pole
-        Candidate places, each searched by itself; none where x and y say the place.
-    poles_file : str or None
-        The table that they come from.
-    road : Road
-        What the masts stand on.
+    places : tuple of Place
+        One, or one for each candidate pole.
+    facing : Facing
+        Which way masts face that say nothing themselves.
+    installer : Installer
+        How far off its plan the LiDAR may end up.
     side : str or None
         The side of the road, where the scene names it.
     clearance_m : float
         Least height over the lanes, on a gantry [m].
-    faces_road : bool
-        Whether each mast faces the road from where it stands, on a map `middle_xy`; else the direction in `fixed` holds
-        for all.
-    map : RoadMap or None
-        The road, where it has been read already.
-    middle_xy : (float, float) or None
-        The middle of the region, on a map [m].
-    installer : Installer
-        How far off its plan the LiDAR may end up.
+    poles_file : str or None
+        The table that the poles come from.
+    shared : mapping
+        With it the coordinates and bounds that all poles share, heights above each pole's foot.
     """
 
-    fixed: Mapping[str, float]
-    bounds: Mapping[str, tuple[float, float]]
-    poles: tuple[Pole, ...] = ()
-    poles_file: str | None = None
-    road: Road = field(default=StraightRoad(), repr=False)
+    places: tuple[Place, ...]
+    facing: Facing
+    installer: Installer = Installer()
     side: str | None = None
     clearance_m: float = 5.0
-    faces_road: bool = False
-    map: RoadMap | None = field(default=None, repr=False, compare=False)
-    middle_xy: tuple[float, float] | None = None
-    installer: Installer = Installer()
+    poles_file: str | None = None
+    shared: Mapping[str, object] = field(default_factory=dict)
 
     @property
-    def road_map(self) -> RoadMap:
-        """Where the lanes and the surface are."""
-        return map_of(self.road) if self.map is None else self.map
-
-    def facing_at(self, xy: Sequence[float]) -> float:
-        """Which way a mast at a place [m] faces unless it says so itself [degrees]."""
-        if self.faces_road and self.middle_xy is not None:
-            return facing_deg(xy, self.middle_xy)
-        if self.faces_road:
-            return math.degrees(self.road.place(self.road.side_of(xy))[1])
-        return self.fixed["facing_deg"]
+    def is_gantry(self) -> bool:
+        """Whether it hangs over the lanes."""
+        return self.side == SIDES[3]
 
     @property
-    def least_height_m(self) -> float:
-        """Least height of a LiDAR above the road: what a gantry keeps clear [m]."""
-        return self.clearance_m if self.side == "gantry" else 0.0
+    def is_held(self) -> bool:
+        """Whether it hangs already: it has one place and nothing to be searched."""
+        return len(self.places) == 1 and not self.places[0].bounds
 
-    def at(self, pole: Pole) -> Place:
-        """The same on one pole: its place, and its heights above its foot, or those of [deployment] above its foot."""
-        height = self.bounds.get("height_m") or (self.fixed["height_m"],) * 2
-        own = pole.height_min_m, pole.height_max_m
-        low, high = (pole.foot_z_m + (usual if end is None else end) for usual, end in zip(height, own, strict=True))
-        fixed = {**self.fixed, "x_m": pole.x_m, "y_m": pole.y_m, "height_m": low}
-        bounds = {**self.bounds, "height_m": (low, high)}
-        (bounds if low == high else fixed).pop("height_m")
-        towards = None
-        if pole.facing_deg is not None:
-            fixed["facing_deg"] = pole.facing_deg
-        elif self.faces_road and isinstance(self.road, StraightRoad):
-            fixed["facing_deg"] = self.facing_at((pole.x_m, pole.y_m))
-        elif self.faces_road:
-            towards = self.middle_xy
-        bounds = {key: bounds[key] for key in MOUNTING_OR_LEAN if key in bounds}
-        return Place(fixed, bounds, self.road, pole, self.map, towards)
+    @property
+    def poles(self) -> tuple[Pole, ...]:
+        """The candidate poles; none where x and y say the place."""
+        return tuple(place.pole for place in self.places if place.pole is not None)
 
-    def pole_named(self, name: str, where: str = "--pole") -> Pole:
-        """The candidate pole of that name; `InputError`, with `where` the name was given, where there is none."""
-        poles = {pole.name: pole for pole in self.poles}
-        if not poles:
+    def on_pole(self, name: str, where: str = "--pole") -> Place:
+        """The place on the candidate pole of that name.
+
+        Raises
+        ------
+        InputError
+            When there is none; `where` the name was given.
+        """
+        places = {place.pole.name: place for place in self.places if place.pole is not None}
+        if not places:
             raise InputError(f"{where}: is {shown(name)}, but the scene has no [deployment] poles")
-        if name not in poles:
-            raise unknown_name(name, poles, "pole", where)
-        return poles[name]
+        if name not in places:
+            raise unknown_name(name, places, "pole", where)
+        return places[name]
 
     def pole_at(self, xy: Sequence[float]) -> Pole | None:
         """The candidate pole that stands at a place [m]; None where none does."""
         return next((pole for pole in self.poles if (pole.x_m, pole.y_m) == tuple(xy)), None)
 
-    def on_pole(self, pole: Pole) -> Deployment:
-        """The same with that pole as its one place."""
-        place = self.at(pole)
-        faces_road = self.faces_road and pole.facing_deg is None
-        return replace(self, fixed=place.fixed, bounds=place.bounds, poles=(), poles_file=None, faces_road=faces_road)
+    def at(self, place: Place) -> Deployment:
+        """The same with one of its places as the only one."""
+        return replace(self, places=(place,))
 
     def as_table(self) -> dict[str, object]:
-        """The keys of [deployment] that it was read from, spelt out."""
-        table = {**self.fixed, **self.bounds}
-        if self.faces_road:
-            table.pop("facing_deg", None)
+        """The keys of [deployment], or of a [[lidar]], that it is read from, spelt out."""
+        table, facing = {**self.places[0].fixed, **self.places[0].bounds}, self.places[0].facing
+        if self.poles_file is not None:
+            table, facing = {**self.shared, "poles": self.poles_file}, self.facing
+        if facing.angle_deg is not None:
+            table["facing_deg"] = facing.angle_deg
         if self.side is not None:
             table |= {key: getattr(self, key) for key in ("side", "clearance_m")}
-        if self.poles:
-            for key in ("x_m", "y_m"):
-                del table[key]
-            table["poles"] = self.poles_file
         return {**table, "installer": self.installer.as_setting()}
-
-    @property
-    def places(self) -> tuple[Place, ...]:
-        """What is searched, candidate by candidate: each pole, or the one place."""
-        towards = self.middle_xy if self.faces_road else None
-        one = Place(self.fixed, self.bounds, self.road, map=self.map, towards=towards)
-        return tuple(self.at(pole) for pole in self.poles) or (one,)
 
     @property
     def spaces(self) -> tuple[SearchSpace, ...]:

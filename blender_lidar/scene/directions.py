@@ -9,10 +9,8 @@ import math
 
 import numpy as np
 
-from ..road.mapped import MappedRoad
-from ..traffic.vehicles import Placing
+from ..rigid import Rigid
 from .mounting import Mounting
-from .scenario import Scenario
 from .site import Site
 
 UPRIGHT_DEG = 0.05  # a smaller tilt cannot be set on site
@@ -38,7 +36,7 @@ def pointing(site: Site, mounting: Mounting) -> dict[str, object]:
         that side, on which the beams look down, and what lies there, in words; the last two None where it is upright.
     """
     axis = mounting.pose.to_world(np.array([[0.0, 0.0, 1.0]]))[0]
-    upright, facing = mounting.mast.axes[2], mounting.mast.axes[1]
+    _, facing, upright = mounting.mast.T_site_mast.rotation
     lean = math.degrees(math.acos(np.clip(axis @ upright, -1.0, 1.0)))
     is_upright = lean < UPRIGHT_DEG
     side = (axis - (axis @ upright) * upright)[:2]
@@ -53,10 +51,8 @@ def pointing(site: Site, mounting: Mounting) -> dict[str, object]:
 
 def bearing_deg(site: Site, direction: np.ndarray) -> float:
     """Bearing of a direction of the site frame, (2,): clockwise from +y of the map or the recording, 0 to 360."""
-    counter_clockwise = math.degrees(math.atan2(direction[1], direction[0]))
-    if site.recording.report.format != "ngsim":  # NGSIM's +y is ahead along the road
-        counter_clockwise += _placing(site.scenario).heading_deg - 90.0
-    return round(-counter_clockwise, 9) % 360.0
+    counter_clockwise = math.atan2(direction[1], direction[0]) + _T_recording_site(site).turn_rad
+    return round(90.0 - math.degrees(counter_clockwise), 9) % 360.0
 
 
 def towards(site: Site, xy: tuple[float, float], direction: np.ndarray) -> str:
@@ -68,7 +64,7 @@ def towards(site: Site, xy: tuple[float, float], direction: np.ndarray) -> str:
     lanes = road.nearest(xy)
     lane = int(np.argmin(np.hypot(*(lanes - xy).T)))
     off = _between_deg(direction, lanes[lane] - xy)
-    in_between = road.clearance(xy)[0] <= 0.0 or site.scenario.in_median(xy)
+    in_between = road.clearance(xy)[0] <= 0.0 or road.side_of(xy) == "median"
     if not in_between and not _ACROSS_DEG < off < 180.0 - _ACROSS_DEG:
         return "towards the road" if off <= _ACROSS_DEG else "away from the road"
     if not len(road):  # a driven area, whose traffic has no direction
@@ -84,23 +80,21 @@ def _in_recording(site: Site, xy: tuple[float, float]) -> dict[str, object]:
     """A place of the site frame in the map's own coordinates, else the first recording's [m], and what these are."""
     format, road = site.recording.report.format, site.scenario.road
     frame = _FRAMES.get(format, "x and y of the recording")
-    if isinstance(road, MappedRoad) and road.path:
+    if road.path:
         frame = "x and y of the net" if road.net else "x and y of the OpenDRIVE map"
-    if format == "ngsim":
-        y_m, x_m = road.in_ngsim(*xy)
-    else:
-        x_m, y_m = _placing(site.scenario).in_file(*xy)
+    x_m, y_m = _T_recording_site(site).points(xy)
     return {"frame": frame, "x_m": float(x_m), "y_m": float(y_m)}
 
 
-def _placing(scenario: Scenario) -> Placing:
-    """Where the site frame lies in the map, which has its axes, or without one in the first recording."""
-    road, settings = scenario.road, scenario.traffic
-    if isinstance(road, MappedRoad):
-        if road.path:
-            return Placing(road.origin_m)
-        return Placing(settings.origin_m or road.origin_m, settings.heading_deg or 0.0)
-    return Placing(settings.origin_m or (0.0, 0.0), settings.heading_deg or 0.0)
+def _T_recording_site(site: Site) -> Rigid:
+    """From the site frame to the map, which has its axes, or without one to the first recording."""
+    road, settings = site.scenario.road, site.scenario.recordings[0]
+    if road.path:
+        return Rigid.about_z(0.0, road.origin_m)
+    if site.recording.report.format == "ngsim":  # whose +y is ahead along the road, and +x to the right
+        along_m, right_m = road.in_ngsim(0.0, 0.0)
+        return Rigid.about_z(0.5 * math.pi, (right_m, along_m))
+    return Rigid.about_z(math.radians(settings.heading_deg or 0.0), settings.origin_m or road.origin_m)
 
 
 def _between_deg(first: np.ndarray, second: np.ndarray) -> float:

@@ -1,57 +1,90 @@
-"""[sensor] and [[lidar]]: what hangs, where each LiDAR may hang, and each one's baseline."""
+"""A LiDAR of a scene: what hangs, where it may hang, and what it is compared with; and [sensor], read."""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from ..errors import InputError, MissingFileError, shown
-from ..road.mapped import Road
-from ..road.road_map import RoadMap
+from ..errors import InputError, MissingFileError
+from ..names import THE_LIDAR
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, setting, settings_of
-from ..traffic.vehicles import counted
-from .deployment import DEPLOYMENT, HANGS, MOUNTING_OR_LEAN, STAND, Deployment, Place
-from .mounting import Mounting
-from .places import baseline_from, deployment_from
-from .region import region_of
-from .settings import DATASHEET, DECLARED, RegionSettings, SensorSettings, is_sensor_file
+from .deployment import DEPLOYMENT, MOUNTING_OR_LEAN, STAND, Deployment, fixed_beside
+from .mounting import MOUNTED, Mounting, mounting_from
+from .settings import DATASHEET, DECLARED, SensorSettings, is_sensor_file
+
+if TYPE_CHECKING:
+    from ..road.road_map import RoadMap
 
 OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
-_MOST = 16
-_OF_ONE_PLACE = ("x_m", "y_m", "facing_deg")  # keys of a baseline that cannot be those of several LiDARs
 
 
 @dataclass(frozen=True, slots=True)
-class HungLidar:
+class LidarSpec:
     """A LiDAR of a scene: its sensor, where it may hang, and what it is compared with.
 
     Attributes
     ----------
     name : str
-        What tells it from the others, in the draws of its noise too; "" is the one of [sensor] and [deployment].
+        What tells it from the others, in the draws of its noise too.
     sensor : SensorSettings
     deployment : Deployment
     baseline : Mounting
+    road : RoadMap
+        What masts stand on.
+    table : str
+        The table of the scene that says where it may hang, as `Scenario.where` knows it.
     """
 
     name: str
     sensor: SensorSettings
     deployment: Deployment
     baseline: Mounting
+    road: RoadMap = field(repr=False, compare=False)
+    table: str = field(default="lidar 1", compare=False)
+
+    @property
+    def is_named(self) -> bool:
+        """Whether its scene gives it a name: it is an entry of [[lidar]], if perhaps the only one."""
+        return self.name != THE_LIDAR
 
     @property
     def is_held(self) -> bool:
         """Whether it hangs already: it has one place and nothing to be searched."""
-        return _held([self.deployment])[0]
+        return self.deployment.is_held
+
+    def mounting(self, table: Mapping[str, float | None], where: str = "mounting") -> Mounting:
+        """The mounting that some coordinates give [m, degrees]: see `mounting_from`.
+
+        Others are as all its places fix them alike, else the baseline's; a mast that is moved faces as a scene says
+        that masts face.
+        """
+        given = {key: value for key, value in table.items() if value is not None}
+        places, facing = self.deployment.places, self.deployment.facing
+        alike = {
+            key: value
+            for key, value in places[0].fixed.items()
+            if all(one.fixed.get(key) == value for one in places[1:])
+        }
+        found = fixed_beside(alike, given) | given
+        if "facing_deg" not in given:
+            xy = [found.get(key, own) for key, own in zip(("x_m", "y_m"), self.baseline.xy, strict=True)]
+            moved = not given.keys().isdisjoint(("x_m", "y_m"))
+            if facing.angle_deg is None and moved:
+                found["facing_deg"] = facing.at(xy, self.road)
+            elif facing.angle_deg is not None and all(one.facing == places[0].facing for one in places):
+                found["facing_deg"] = places[0].facing.angle_deg
+        return mounting_from(found, self.road, self.baseline, where)
 
     def as_table(self) -> dict[str, object]:
         """The entry of [[lidar]] that it is, spelt out."""
         poles = self.deployment.poles
         pole = poles[0].name if len(poles) == 1 else None
-        return {"name": self.name, "sensor": self.sensor.name, "pole": pole, **self.deployment.as_table()}
+        baseline = {key: value for key, value in self.baseline.as_table().items() if key in MOUNTED}
+        own = {"name": self.name, "sensor": self.sensor.name, "pole": pole, **self.deployment.as_table()}
+        return {**own, "baseline": baseline}
 
 
 # --- [sensor] ---------------------------------------------------------------------------------------------------------
@@ -68,8 +101,7 @@ def sensor_from(table: TomlTable, own: TomlTable | None = None) -> SensorSetting
         Naming the key.
     """
     declared = DECLARED["sensor"]
-    if own is not None and own.values.get("sensor") is not None and "name" not in table.origins:
-        name = own.values["sensor"]
+    if own is not None and "name" not in table.origins and (name := own.some({"sensor": LIDAR["sensor"]})["sensor"]):
         name = own.path("sensor", name) if is_sensor_file(name) else name
         values, origins = {**table.values, "name": name}, {**table.origins, "name": own.where("sensor")}
         table = TomlTable(values, table.name, origins, table.folder, table.called)
@@ -147,146 +179,3 @@ class LidarSettings:
 
 LIDAR = settings_of(LidarSettings)
 DECLARED["lidar"] = LIDAR | DEPLOYMENT | STAND
-
-
-def deployments_from(
-    tables: Sequence[TomlTable], sensor: TomlTable, road: Road, road_map: RoadMap
-) -> list[tuple[str, SensorSettings, Deployment]]:
-    """Name, sensor and places of each [[lidar]].
-
-    Raises
-    ------
-    MissingFileError, InputError
-        Naming the entry: two of one name, two on one pole, or what `sensor_from` and `deployment_from` refuse.
-    """
-    if len(tables) > _MOST:
-        raise InputError(f"{tables[-1].name}: is one of {len(tables)}; allowed: {_MOST} LiDARs at most")
-    found: list[tuple[str, SensorSettings, Deployment]] = []
-    for table in tables:
-        said = table.read(DECLARED["lidar"])
-        name, pole = said["name"], said["pole"]
-        if name.casefold() in (other.casefold() for other, *_ in found):  # as files are named by it
-            raise InputError(f"{table.where('name')}: is {shown(name)}, as of another LiDAR; allowed: a name for each")
-        stand = {key: value for key, value in table.values.items() if key not in LIDAR}
-        stand = TomlTable(stand, table.name, table.origins, table.folder, table.called)
-        deployment = deployment_from(stand, road, road_map)
-        if pole is not None:
-            deployment = replace(deployment, poles=(deployment.pole_named(pole, table.where("pole")),))
-        found.append((name, sensor_from(sensor, table), deployment))
-    _check_places(tables, [deployment for *_, deployment in found])
-    return found
-
-
-def with_installers(of_file: Sequence[TomlTable], deployments: Sequence[Deployment]) -> list[Deployment]:
-    """The same, of which those that hang already beside others that are searched have no installation errors.
-
-    Unless their own [[lidar]] of the scene file says some: an option, which is of all, does not hang them anew.
-    """
-    held = _held(deployments)
-    if all(held):
-        return list(deployments)
-    usual = {"installer": replace(STAND["installer"], default=HANGS)}
-    return [
-        replace(one, installer=table.some(usual)["installer"]) if is_held else one
-        for one, is_held, table in zip(deployments, held, of_file, strict=True)
-    ]
-
-
-def check_aims(tables: Sequence[TomlTable], lidars: Sequence[HungLidar]) -> None:
-    """Refuse LiDARs of a layout that aim at different things: it is searched as one."""
-    aims = [one.deployment.installer.aim for one in lidars if not one.deployment.installer.is_exact]
-    if len(set(aims)) > 1:
-        raise InputError(f"{tables[0].where('installer')}: aims are {' and '.join(sorted(set(aims)))}; allowed: one")
-
-
-def _held(deployments: Sequence[Deployment]) -> list[bool]:
-    """Which LiDARs have one place and nothing to be searched."""
-    return [len(one.places) == 1 and not one.places[0].bounds for one in deployments]
-
-
-def _check_places(tables: Sequence[TomlTable], deployments: Sequence[Deployment]) -> None:
-    """Refuse a LiDAR on a pole of another one, and fewer candidate poles than LiDARs that are to be put on them."""
-    taken: dict[tuple[float, float], TomlTable] = {}
-    for table, deployment in zip(tables, deployments, strict=True):
-        pole, fixed = table.values.get("pole"), deployment.places[0].fixed
-        if (deployment.poles and not pole) or not {"x_m", "y_m"} <= fixed.keys():
-            continue
-        xy = fixed["x_m"], fixed["y_m"]
-        if xy in taken and (pole or taken[xy].values.get("pole")):
-            asked = f"{table.where('pole')}: is {shown(pole)}" if pole else f"{table.where('x_m, y_m')}: is {list(xy)}"
-            raise InputError(f"{asked}, as of {taken[xy].name}; allowed: a pole each")
-        taken[xy] = table
-    choosing = [row for row, one in enumerate(deployments) if one.poles and "pole" not in tables[row].values]
-    choices = [[place.xy for place in deployments[row].places if place.xy not in taken] for row in choosing]
-    if not each_has_one(choices):
-        free = len({xy for one in choices for xy in one})
-        raise InputError(
-            f"{tables[choosing[0]].where('poles')}: {counted(len(choosing), 'LiDAR')} cannot each have a pole of their "
-            f"own among the {free} that no other has; allowed: a pole for each"
-        )
-
-
-def each_has_one(choices: Sequence[Iterable[Hashable]]) -> bool:
-    """Bipartite matching by augmenting paths (Kuhn): whether each can have one of its choices, none of them twice."""
-    holder: dict[Hashable, int] = {}
-
-    def has(number: int, seen: set[Hashable]) -> bool:
-        for one in choices[number]:
-            if one not in seen:
-                seen.add(one)
-                if one not in holder or has(holder[one], seen):
-                    holder[one] = number
-                    return True
-        return False
-
-    return all(has(number, set()) for number in range(len(choices)))
-
-
-def free_places(lidars: Sequence[Deployment], number: int, hung: Mapping[int, tuple[float, float]]) -> list[Place]:
-    """The places of a LiDAR that leave one to each of the others, of which some are `hung` at x, y already [m]."""
-    single = {k: one.places[0].xy for k, one in enumerate(lidars) if len(one.places) == 1}
-    taken = {xy for k, xy in {**single, **hung}.items() if k != number}
-    rest = [one for k, one in enumerate(lidars) if k != number and k not in hung and len(one.places) > 1]
-    choices = [{place.xy for place in one.places} - taken for one in rest]
-    return [
-        place
-        for place in lidars[number].places
-        if place.pole is None or (place.xy not in taken and each_has_one([choice - {place.xy} for choice in choices]))
-    ]
-
-
-def baselines_from(
-    table: TomlTable, tables: Sequence[TomlTable], deployments: Sequence[Deployment], region: RegionSettings
-) -> list[Mounting]:
-    """The baseline of each [[lidar]]: its own keys, else those of [baseline], at its own place.
-
-    That is in the middle between its bounds. LiDARs that choose among poles have theirs on different ones: each on the
-    free pole nearest to the region's middle. One that hangs already, beside others that are searched, stays as it is.
-    """
-    if len(tables) > 1 and (place := next((key for key in _OF_ONE_PLACE if key in table.values), None)):
-        raise InputError(
-            f"{table.where(place)}: cannot be that of {len(tables)} LiDARs; allowed: in the baseline of a [[lidar]]"
-        )
-    middle, found = region_of(region, deployments[0].road_map).centre_xy, []
-    held = _held(deployments)
-    for number, (own, deployment) in enumerate(zip(tables, deployments, strict=True)):
-        given = own.table("baseline")
-        if held[number] and not all(held) and not given.values:
-            found.append(deployment.places[0].mounting([]))
-            continue
-        rivals = {rival for key in given.values if key in MOUNTING_OR_LEAN for rival in MOUNTING_OR_LEAN[key].rivals}
-        shared = {key: value for key, value in table.values.items() if key not in rivals}
-        both = TomlTable({**shared, **given.values}, given.name, given.origins, given.folder)
-        if deployment.poles:
-            free = free_places(deployments, number, {k: one.xy for k, one in enumerate(found)})
-            there = deployment.on_pole(min(free, key=lambda place: math.dist(place.xy, middle)).pole)
-        else:
-            place = dict(zip(("x_m", "y_m"), deployment.nominal_xy, strict=True))
-            there = replace(deployment, fixed={**deployment.fixed, **place})
-        found.append(baseline_from(both, there, region))
-    return found
-
-
-def lidar_where(where: Callable[[str, str], str], number: int, table: str, key: str) -> str:
-    """How errors name a key of the one LiDAR that a scene is cut down to: its [[lidar]] in place of [deployment]."""
-    return where(f"lidar {number}" if table == "deployment" else table, key)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..road.road_map import wrap_angle
 from ..traffic.tracks import central_velocity, held_heading, medians_of
-from ..traffic.vehicles import Placing, Recording
+from ..traffic.vehicles import Recording
 from . import usual
 
 if TYPE_CHECKING:
@@ -169,8 +169,8 @@ def headings(seen: LookedAt, limit: tuple[float, float]) -> Found:
     share, off = ways.share_astray(ways.heading_rad), _off_rad(tracks, ways.heading_rad)
     if share <= many and off <= off_rad:
         return None
-    placing = Placing(heading_deg=seen.scenario.traffic.heading_deg or 0.0)
-    in_file = wrap_angle(ways.heading_rad + math.radians(placing.heading_deg))
+    turned_rad = math.radians(seen.scenario.recordings[0].heading_deg or 0.0)
+    in_file = wrap_angle(ways.heading_rad + turned_rad)
     meant = {
         "reversed, by half a turn": in_file + math.pi,
         "clockwise from north, as a compass has them (counter-clockwise from +x is 90 minus the bearing), or x and y "
@@ -185,7 +185,7 @@ def headings(seen: LookedAt, limit: tuple[float, float]) -> Found:
         "those of other vehicles"
     )
     for name, heading in meant.items():
-        right = placing.headings(heading)
+        right = wrap_angle(heading - turned_rad)
         if ways.share_astray(right) < 1.0 - usual.MOST and _off_rad(tracks, right) <= off_rad:
             probably = name
             break

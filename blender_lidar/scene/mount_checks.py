@@ -19,9 +19,10 @@ from ..traffic.boxes import Boxes
 from ..traffic.vehicles import PEDESTRIAN, rectangles_overlap
 from ..world.scenery import Scenery, barrier_extent
 from . import usual
-from .deployment import Place
+from .angles import in_radians
+from .deployment import Deployment, Place
+from .lidars import LidarSpec
 from .mounting import ANGLES, LEANS, PLACE, Mounting
-from .places import in_radians
 from .region import region_of
 from .scenario import Scenario
 from .settings import BarrierSettings, BoxSettings
@@ -50,10 +51,23 @@ class _Reach(NamedTuple):
     over_lanes: bool
 
 
+def check_places_are_clear(scenario: Scenario, frames: Sequence[Boxes], scenery: Scenery | None = None) -> None:
+    """`check_mount_is_clear` of every place that a scene searches, and of its baselines."""
+    for lidar in scenario.lidars:
+        poles_file, where = lidar.deployment.poles_file, scenario.where(lidar.table, "x_m, y_m")
+        asked = {
+            f"{poles_file}: pole {place.pole.name!r}" if place.pole else where: place
+            for place in lidar.deployment.places
+        }
+        asked[scenario.where("baseline", "x_m, y_m")] = lidar.baseline
+        check_mount_is_clear(scenario, lidar, frames, asked, scenery)
+
+
 def check_mount_is_clear(
     scenario: Scenario,
+    lidar: LidarSpec,
     frames: Iterable[Boxes],
-    mounts: Mapping[str, Mounting] | None = None,
+    mounts: Mapping[str, Place | Mounting],
     scenery: Scenery | None = None,
 ) -> None:
     """Refuse a mount on the carriageway or inside a vehicle, or a LiDAR inside a box, a barrier or a closed mesh.
@@ -62,10 +76,12 @@ def check_mount_is_clear(
     ----------
     scenario : Scenario
         The road.
+    lidar : LidarSpec
+        Which of its LiDARs hangs there.
     frames : iterable of Boxes
         The traffic.
-    mounts : mapping of str to Mounting, optional
-        Mounts to check, by the option that gave them; the scene's searched places and baseline if left out.
+    mounts : mapping of str to Place or Mounting
+        Mounts to check, by what gave them.
     scenery : Scenery, optional
         What stands there, of which no closed mesh may hold a LiDAR: of a searched place its corners and its middle.
 
@@ -74,33 +90,24 @@ def check_mount_is_clear(
     InputError
         Naming the place, and the lane's edges, the box, or the vehicle and frame.
     """
-    if mounts is None:
-        for one in scenario.each:
-            poles_file, where = one.deployment.poles_file, one.where("deployment", "x_m, y_m")
-            asked = {
-                f"{poles_file}: pole {place.pole.name!r}" if place.pole else where: place
-                for place in one.deployment.places
-            }
-            check_mount_is_clear(one, frames, {**asked, one.where("baseline", "x_m, y_m"): one.baseline}, scenery)
-        return
     barriers = (boxes_around(barrier, scenario.road_map) for barrier in scenario.world.barriers)
     solids = [*scenario.world.boxes, *itertools.chain.from_iterable(barriers)]
     frames = [frame.select(frame.class_index != PEDESTRIAN) for frame in frames]  # who walk give way to masts
     for where, mount in mounts.items():
-        reach = _reach(scenario, where, mount)
+        reach = _reach(scenario.road_map, lidar.deployment, where, mount)
         _check_solids(reach, where, solids)
         _check_meshes(reach, where, scenery, region_of(scenario.region, scenario.road_map).centre_xy)
         _check_vehicles(reach, frames)
 
 
-def _reach(scenario: Scenario, where: str, mount: Place | Mounting) -> _Reach:
+def _reach(road: RoadMap, deployment: Deployment, where: str, mount: Place | Mounting) -> _Reach:
     """What a mount may reach; over a lane it must be a gantry's, above its clearance."""
-    (low, high), road = extent(mount), scenario.road_map
+    low, high = extent(mount)
     x, y = (f"{a:g}" if a == b else f"{a:g} to {b:g}" for a, b in zip(low[:2], high[:2], strict=True))
-    said, clearance_m = f"{where}: the mount at x {x} m, y {y} m", scenario.deployment.clearance_m
+    said, clearance_m = f"{where}: the mount at x {x} m, y {y} m", deployment.clearance_m
     places = _places(road, low[:2], high[:2])
     over = places[road.within(places)]
-    if len(over) and scenario.deployment.side != "gantry":
+    if len(over) and not deployment.is_gantry:
         right, left = (np.round(edge, 3) + 0.0 for edge in road.edges_across(over[0]))
         raise InputError(
             f"{said} stands on the carriageway; allowed: off the lanes, such as x {right[0]:g}, y {right[1]:g} m or x "
@@ -245,13 +252,17 @@ _USUAL_HEIGHTS = "(usual: 2 to 12, a gantry or a lamp): metres above the road?"
 
 def mount_notes(scenario: Scenario, given: Sequence[Mounting] = ()) -> Iterator[str]:
     """What is suspicious of mountings and sensor and may be right, as sentences; `given` are those given by hand."""
-    if scenario.further_lidars:
-        for number, one in enumerate(scenario.each):
-            yield from (f"{one.lidar_name}: {note}" for note in mount_notes(one, given[number : number + 1]))
-        return
-    deployment = scenario.deployment
-    asked = [("the mounting", one.as_table()) for one in given] or [("[deployment]", deployment.fixed)]
-    for name, table in (*asked, ("[baseline]", scenario.baseline.as_table())):
+    for number, lidar in enumerate(scenario.lidars):
+        own = given[number : number + 1] if scenario.is_layout else given
+        called = f"{lidar.name}: " if scenario.is_layout else ""
+        yield from (called + note for note in _notes_on(lidar, own))
+
+
+def _notes_on(lidar: LidarSpec, given: Sequence[Mounting]) -> Iterator[str]:
+    """What is suspicious of one LiDAR."""
+    deployment = lidar.deployment
+    asked = [("the mounting", one.as_table()) for one in given] or [("[deployment]", deployment.places[0].fixed)]
+    for name, table in (*asked, ("[baseline]", lidar.baseline.as_table())):
         for key in ANGLES if ANGLES[0] in table else LEANS:
             meant = in_radians(key, (table.get(key) or 0.0,))
             if meant:
@@ -262,10 +273,10 @@ def mount_notes(scenario: Scenario, given: Sequence[Mounting] = ()) -> Iterator[
     highest = max([place.span("height_m")[1] for place in places if "height_m" in place.bounds], default=0.0)
     if highest > usual.HIGHEST_M:
         yield f"heights up to {highest:g} m are searched {_USUAL_HEIGHTS}"
-    noise = scenario.sensor.range_noise_m or 0.0
+    noise = lidar.sensor.range_noise_m or 0.0
     if noise > usual.NOISE_M:
         yield f"[sensor] range_noise_m is {noise:g} m (data sheets: 0.01 to 0.05 m): centimetres?"
-    away = [place for place in places if _looks_away(place, scenario)]
+    away = [place for place in places if _looks_away(place)]
     if away:
         some = f"on {len(away)} of {len(places)} poles every" if deployment.poles else "every"
         x_m, y_m = away[0].mounting([low for low, _ in away[0].bounds.values()]).xy
@@ -275,9 +286,9 @@ def mount_notes(scenario: Scenario, given: Sequence[Mounting] = ()) -> Iterator[
         )
 
 
-def _looks_away(place: Place, scenario: Scenario) -> bool:
+def _looks_away(place: Place) -> bool:
     """Whether all that is searched looks down on the side of the mast on which there is no lane."""
-    road, leans = scenario.road_map, []
+    road, leans = place.road, []
     for mounting in map(place.mounting, itertools.product(*place.bounds.values())):
         down = mounting.pose.rotation[2, :2]  # the sensor looks down to where its upright axis leans
         towards = road.nearest(mounting.xy) - mounting.xy

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 from ..errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from ..rigid import Rigid
     from ..road.road_map import RoadMap
     from ..sensors.pose import Pose
 
@@ -40,7 +39,7 @@ COORDINATE_NAMES = {
 """What each is called, and its unit."""
 _NO_LEAN_DEG = 1e-6
 _SAME_ROTATION = 1e-6
-_SQUARE = 0.5 * math.pi  # the way that a mast faces whose axes are those of the site frame
+SQUARE = 0.5 * math.pi  # the way that a mast faces whose axes are those of the site frame
 _PLUMB = (0.0, 0.0, 1.0)
 
 
@@ -59,7 +58,7 @@ class Mast:
     """
 
     foot_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    facing_rad: float = _SQUARE
+    facing_rad: float = SQUARE
     up: tuple[float, float, float] = _PLUMB
 
     @property
@@ -68,15 +67,17 @@ class Mast:
         return self.up == _PLUMB
 
     @property
-    def axes(self) -> np.ndarray:
-        """Axes of the mast frame in the site frame, (3, 3), a row each: ``site = mast @ axes``."""
+    def T_site_mast(self) -> Rigid:
+        """From the mast frame, whose origin is the foot, to the site frame."""
         import numpy as np
+
+        from ..rigid import Rigid
 
         right = np.array([math.sin(self.facing_rad), -math.cos(self.facing_rad), 0.0])
         up = np.array(self.up)
         x = right - (right @ up) * up
         x /= np.linalg.norm(x)
-        return np.stack([x, np.cross(up, x), up])
+        return Rigid(np.stack([x, np.cross(up, x), up]), np.zeros(3), np.array(self.foot_m))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,14 +108,14 @@ class Mounting:
     @property
     def pose(self) -> Pose:
         """Where the sensor is and how it is turned, in the site frame."""
-        from ..sensors.pose import Pose, rotation_matrix, tilts_of, turned
+        from ..sensors.pose import Pose, rotation_matrix, tilts_of
 
         mast = self.mast
         place = (foot + self.height_m * up for foot, up in zip(mast.foot_m, mast.up, strict=True))
         if mast.is_plumb:
-            return Pose(*place, self.tilt_x, self.tilt_y, self.yaw + (mast.facing_rad - _SQUARE))
+            return Pose(*place, self.tilt_x, self.tilt_y, self.yaw + (mast.facing_rad - SQUARE))
         rotation = rotation_matrix(self.tilt_x, self.tilt_y, self.yaw)
-        return Pose(*place, *tilts_of(turned(rotation, mast.axes)))
+        return Pose(*place, *tilts_of(mast.T_site_mast.directions(rotation)))
 
     def as_table(self) -> dict[str, float | None]:
         """Its coordinates and which way its mast faces [m, degrees], and its orientation as lean, direction and spin.
@@ -142,16 +143,16 @@ def poses_of(layout: Layout) -> tuple[Pose | None, ...]:
     return tuple(None if mounting is None else mounting.pose for mounting in layout)
 
 
-def mast_at(road: RoadMap, x_m: float, y_m: float, facing_rad: float = _SQUARE) -> Mast:
+def mast_at(road: RoadMap, x_m: float, y_m: float, facing_rad: float = SQUARE) -> Mast:
     """The mast whose foot stands at a place of a site [m]."""
     import numpy as np
 
     return Mast((x_m, y_m, float(road.surface.height(np.array([x_m, y_m])))), facing_rad, road.up)
 
 
-def hung_at(pose: Pose, road: RoadMap, facing_rad: float = _SQUARE) -> Mounting:
+def hung_at(pose: Pose, road: RoadMap, facing_rad: float = SQUARE) -> Mounting:
     """The mounting that has a pose in the site frame."""
-    from ..sensors.pose import tilts_of, turned
+    from ..sensors.pose import tilts_of
 
     foot_z = 0.0
     for _ in range(9):  # the foot's height depends on its place, which a slope moves with it
@@ -161,8 +162,8 @@ def hung_at(pose: Pose, road: RoadMap, facing_rad: float = _SQUARE) -> Mounting:
         foot_z = mast.foot_m[2]
     height = (pose.height_m - foot_z) / road.up[2]
     if mast.is_plumb:
-        return Mounting(mast, height, pose.tilt_x, pose.tilt_y, pose.yaw - (facing_rad - _SQUARE))
-    return Mounting(mast, height, *tilts_of(turned(pose.rotation, mast.axes.T)))
+        return Mounting(mast, height, pose.tilt_x, pose.tilt_y, pose.yaw - (facing_rad - SQUARE))
+    return Mounting(mast, height, *tilts_of(mast.T_site_mast.inverse.directions(pose.rotation)))
 
 
 def has_lean(given: Mapping[str, object], where: str) -> bool:

@@ -65,7 +65,7 @@ class Placed:
         part = recording.select(np.bincount(near, minlength=len(recording)) > 0)
         at = road.locate(part.centre_m, part.heading_rad)
         heading = part.heading_rad - at.heading_rad
-        edges = road.edges_t if scenario.straight else (0.0, 0.0)
+        edges = road.edges_t if road.endless else (0.0, 0.0)
         return cls(at.t_m, heading, part.vehicle_id, region.holds(part), at.lane >= 0, edges, region)
 
     @property
@@ -88,7 +88,7 @@ class Placed:
 def oblique(seen: LookedAt, few: float) -> Found:
     """Vehicles that drive obliquely to a straight road."""
     heading = seen.placed.heading_rad[seen.placed.inside]
-    straight = seen.scenario.straight is not None and not seen.report.periods
+    straight = seen.scenario.road_map.endless and not seen.report.periods
     if not straight or len(heading) < usual.FEWEST or not seen.heading_known:
         return None
     axis = 0.5 * float(np.angle(np.exp(2j * heading).mean()))  # of both ways along it
@@ -109,7 +109,7 @@ def beside(seen: LookedAt, limit: tuple[float, float]) -> Found:
     """Almost none of the region's vehicles on the carriageway of a straight road, or most on one beside it."""
     placed, stretches = seen.placed, seen.scenario.region.stretches
     looked_at = placed.inside | bool(stretches)  # beside a stretch too
-    if seen.scenario.straight is None or looked_at.sum() < usual.FEWEST:
+    if not seen.scenario.road_map.endless or looked_at.sum() < usual.FEWEST:
         return None
     share = placed.on_road[looked_at].mean()
     nobody = share < limit[0] and not (placed.inside.sum() >= usual.FEWEST if stretches else _keep_to_it(placed))
@@ -122,7 +122,7 @@ def beside(seen: LookedAt, limit: tuple[float, float]) -> Found:
 
 def off_map(seen: LookedAt, half: float) -> Found:
     """Most vehicles beside the roads of the map: how far apart both are."""
-    if seen.scenario.straight is not None:
+    if seen.scenario.road_map.endless:
         return None
     recording, region = seen.recording, seen.placed.region
     part = recording.select(np.arange(len(recording)) % max(1, len(recording) // usual.SAMPLE) == 0)
@@ -156,7 +156,7 @@ def _place_meant(t: np.ndarray, recording: Recording, scenario: Scenario) -> str
 
 def _turn_meant(axis: float, scenario: Scenario) -> dict[str, float]:
     """A direction in the road frame [rad] in degrees, and as what `heading_deg` would make it the road's."""
-    turns = axis, axis + math.radians(scenario.traffic.heading_deg or 0.0)
+    turns = axis, axis + math.radians(scenario.recordings[0].heading_deg or 0.0)
     at, meant = (round(math.degrees(wrap_angle(angle)), 1) + 0.0 for angle in turns)
     return {"at": at, "meant": meant}
 
@@ -321,7 +321,7 @@ def nobody_there(recording: Recording, region: Region, frames: int, scenario: Sc
     road, (x, y) = scenario.road_map, recording.centre_m[:, :2].T
     at, (first, last) = road.locate(recording.centre_m), road.stretch(region.centre_xy, region.radius_m)
     beside = (at.s_m >= first) & (at.s_m <= last)
-    if scenario.straight and beside.any() and (at.lane[beside] >= 0).mean() < usual.FEW:
+    if road.endless and beside.any() and (at.lane[beside] >= 0).mean() < usual.FEW:
         meant = _place_meant(at.t_m[beside], recording, scenario)
     elif asked := {lane for one in scenario.region.stretches or () for lane in one.lanes or ()}:
         there = ", ".join(map(str, np.unique(recording.lane[recording.lane != 0]).tolist()))
@@ -349,7 +349,7 @@ def _span(name: str, values: np.ndarray) -> str:
 
 def known_grades(recording: Recording, scenario: Scenario) -> tuple[float, float] | None:
     """`grades_percent` of a recording about the region's middle; None on a map, whose heights are its own."""
-    if scenario.straight is None:
+    if not scenario.road_map.endless:
         return None
     return grades_percent(recording.report.ground, region_of(scenario.region, scenario.road_map).centre_xy[0])
 

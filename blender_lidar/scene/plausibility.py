@@ -84,7 +84,7 @@ class LookedAt:
     @property
     def lies_along_x(self) -> bool:
         """Whether lanes should lie along x, and headings say how vehicles drive: on a map they lie as they do."""
-        return self.heading_known and self.scenario.straight is not None
+        return self.heading_known and self.scenario.road_map.endless
 
 
 def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
@@ -108,7 +108,7 @@ def checked_recording(recording: Recording, scenario: Scenario) -> Recording:
         if check.name in seen.warnings or (check.name in ("tracks", "overlaps") and seen.warnings):
             continue  # they follow from a warning that is there already
         text = check.said(seen)
-        if text and check.name and check.name not in (scenario.traffic.accept or ()):
+        if text and check.name and check.name not in (scenario.recordings[0].accept or ()):
             go_on = f"if traffic and scene are right as they are, go on with --accept {check.name}"
             raise InputError(f"{recording.source}: {text}; {go_on}")
         if text and check.name:
@@ -384,5 +384,5 @@ def _checks_of(seen: LookedAt) -> Iterator[Check]:
     yield from NOTE_CHECKS
     if motion.has_tracks(seen):
         yield from TRACK_NOTES
-    if seen.scenario.straight is not None:
+    if seen.scenario.road_map.endless:
         yield from STRAIGHT_ROAD_NOTES

@@ -15,7 +15,7 @@ from .. import __version__
 from ..errors import InputError, shown
 from ..files import open_file, reading, source_digest
 from ..plugins import is_plugin, plugin_file, short_name
-from .scenario import Scenario
+from .scenario import Scenario, numbered_tables
 from .settings import DECLARED
 
 _CONTENT = "file with SHA-256 "  # how the content of a file stands for it
@@ -37,8 +37,14 @@ def run_identity(
     del tables["model"]["workers"], tables["model"]["cluster"]  # which change nothing
     tables["model"]["caster"] = caster
     del tables["drawing"]
+    tables = numbered_tables(tables)
     for (table, key), path in _input_files(scenario).items():
-        tables[table][key] = _CONTENT + file_digest(path)
+        digest = _CONTENT + file_digest(path)
+        if key == "sensor":  # its settings stand under its path
+            if path in tables["sensor"]:
+                tables["sensor"][digest] = tables["sensor"].pop(path)
+            tables["sensor"]["name"] = digest if tables["sensor"]["name"] == path else tables["sensor"]["name"]
+        tables[table][key] = digest
     for table, key in _PLUGINS:
         name = tables[table][key]
         if is_plugin(name):

@@ -7,30 +7,19 @@ before they are checked, so both pass the same checks.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from ..errors import InputError, MissingFileError, unknown_name
-from ..road.mapped import MappedRoad, Road
+from ..errors import MissingFileError, unknown_name
 from ..road.road_map import RoadMap
-from ..road.straight import StraightRoad
-from ..toml_table import read_toml
+from ..road.settings import RoadSettings
+from ..toml_table import TomlTable, read_toml
 from ..traffic.presets import meta_files
-from .deployment import BASELINE, Deployment, Installer, fixed_beside
-from .lidars import (
-    OF_ANY_MODEL,
-    HungLidar,
-    baselines_from,
-    check_aims,
-    deployments_from,
-    lidar_where,
-    sensor_from,
-    with_installers,
-)
-from .mounting import MOUNTED, Layout, Mounting, mounting_from
-from .places import baseline_from, deployment_from
+from .deployment import BASELINE, Deployment, Installer
+from .lidars import OF_ANY_MODEL, LidarSpec, sensor_from
+from .mounting import Layout
 from .region import region_of
 from .roads import road_from, road_map_from
 from .scene_tables import (
@@ -52,17 +41,16 @@ from .settings import (
     ObjectiveSettings,
     RegionSettings,
     SearchSettings,
-    SensorSettings,
     TrafficSettings,
     WorldSettings,
+    is_sensor_file,
 )
-
-_FILES = ("world", "blend"), ("world", "mesh")
+from .sugar import Roadside, deployment_of, lidars_from
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A whole scene, checked.
+    """A whole scene, checked, in its normal form: however it was said, it has a list of recordings and one of LiDARs.
 
     Attributes
     ----------
@@ -70,54 +58,51 @@ class Scenario:
         The file, or what else it was read from.
     where : callable
         How errors name a table's key.
-    traffic : TrafficSettings
-        The recording, of several the first.
-    further_traffic : tuple of TrafficSettings
-        The others.
-    sensor, deployment, baseline, lidar_name
-        Of the LiDAR, of several the first.
-    further_lidars : tuple of HungLidar
-        The others.
+    recordings : tuple of TrafficSettings
+        The traffic.
+    road : RoadSettings
+        The road as the scene says it.
+    road_map : RoadMap
+        Where its lanes and its surface are.
+    lidars : tuple of LidarSpec
+        What hangs, in the order of a layout's mountings.
     baseline_hangs : bool
         Whether the baseline hangs already, so that no installation error shakes it.
     """
 
     source: str
-    traffic: TrafficSettings
-    road: Road
+    recordings: tuple[TrafficSettings, ...]
+    road: RoadSettings
+    road_map: RoadMap = field(repr=False, compare=False)
     world: WorldSettings
-    sensor: SensorSettings
-    deployment: Deployment
+    lidars: tuple[LidarSpec, ...]
     region: RegionSettings
-    baseline: Mounting
     objective: ObjectiveSettings
     search: SearchSettings
     model: ModelSettings
     drawing: DrawingSettings
     where: Callable[[str, str], str] = field(repr=False, compare=False)
-    further_traffic: tuple[TrafficSettings, ...] = ()
-    lidar_name: str = ""
-    further_lidars: tuple[HungLidar, ...] = ()
     baseline_hangs: bool = False
 
     @property
-    def lidars(self) -> tuple[HungLidar, ...]:
-        """All LiDARs of a layout, in their order."""
-        return HungLidar(self.lidar_name, self.sensor, self.deployment, self.baseline), *self.further_lidars
+    def lidar(self) -> LidarSpec:
+        """The LiDAR of a scene of one."""
+        (lidar,) = self.lidars
+        return lidar
 
     @property
-    def each(self) -> tuple[Scenario, ...]:
-        """The same scene with each of its LiDARs alone."""
-        return tuple(self.alone(number) for number in range(len(self.lidars)))
+    def is_layout(self) -> bool:
+        """Whether several LiDARs hang, told apart by their names."""
+        return len(self.lidars) > 1
 
-    def alone(self, number: int) -> Scenario:
-        """The same scene with one of its LiDARs alone, counted from 0."""
-        if not self.further_lidars:
-            return self
-        lidar = self.lidars[number]
-        kept = {key: getattr(lidar, key) for key in ("sensor", "deployment", "baseline")}
-        where = partial(lidar_where, self.where, number + 1)
-        return replace(self, **kept, lidar_name=lidar.name, further_lidars=(), where=where)
+    @property
+    def names(self) -> list[str]:
+        """Names by which several LiDARs are told apart; that of a single one is nothing."""
+        return [lidar.name for lidar in self.lidars] if self.is_layout else [""]
+
+    def with_lidars(self, *lidars: LidarSpec) -> Scenario:
+        """The same scene with some LiDARs in place of its own."""
+        return replace(self, lidars=lidars)
 
     @property
     def baselines(self) -> Layout:
@@ -147,8 +132,6 @@ class Scenario:
     @property
     def nominal_xy(self) -> tuple[float, float]:
         """The mount's place [m], or the middle of where LiDARs may be."""
-        if not self.further_lidars:
-            return self.deployment.nominal_xy
         ends = [
             [end for lidar in self.lidars for place in lidar.deployment.places for end in place.span(key)]
             for key in ("x_m", "y_m")
@@ -161,123 +144,78 @@ class Scenario:
         return max(lidar.sensor.range_gate_m for lidar in self.lidars)
 
     @property
-    def recordings(self) -> tuple[TrafficSettings, ...]:
-        """All recordings."""
-        return self.traffic, *self.further_traffic
-
-    @property
-    def road_map(self) -> RoadMap:
-        """Where the lanes and the surface are."""
-        return self.deployment.road_map
-
-    @property
     def plane_returns(self) -> bool:
         """Whether the plane z = 0 returns: the ground does, and no map's heights are there in its place."""
-        return self.world.ground and (self.straight is not None or self.road_map.surface.is_flat)
-
-    @property
-    def straight(self) -> StraightRoad | None:
-        """The straight road, where it is one and no map."""
-        return self.road if isinstance(self.road, StraightRoad) else None
-
-    def in_median(self, xy: Sequence[float]) -> bool:
-        """Whether a place [m] lies in the median of a straight road."""
-        return self.straight is not None and self.straight.side_of(xy) == "median"
-
-    def mounting(self, table: Mapping[str, float | None], where: str = "mounting") -> Mounting:
-        """The mounting that some coordinates give [m, degrees]: see `mounting_from`.
-
-        Others are as [deployment] or [[lidar]] fixes them, at all its places alike, else the baseline's.
-        """
-        table = self._fixed(table) | table
-        moved = any(table.get(key) is not None for key in ("x_m", "y_m"))
-        if self.deployment.faces_road and moved and table.get("facing_deg") is None:
-            pairs = zip(("x_m", "y_m"), self.baseline.xy, strict=True)
-            xy = [own if table.get(key) is None else table[key] for key, own in pairs]
-            table = {**table, "facing_deg": self.deployment.facing_at(xy)}
-        return mounting_from(table, self.road_map, self.baseline, where)
-
-    def _fixed(self, given: Mapping[str, float | None]) -> dict[str, float]:
-        """What all places fix alike, without what would contradict coordinates that are given."""
-        first, *others = self.deployment.places
-        fixed = {key: value for key, value in first.fixed.items() if all(one.fixed.get(key) == value for one in others)}
-        if self.deployment.faces_road:
-            fixed.pop("facing_deg", None)
-        return fixed_beside(fixed, [key for key, value in given.items() if value is not None])
+        return self.world.ground and not self.road_map.surface.is_ground
 
     @property
     def files(self) -> dict[tuple[str, str], str]:
-        """The files that it names, by table and key."""
-        named = {(table, key): getattr(getattr(self, table), key) for table, key in _FILES}
-        for table, recording in zip(self._traffic_tables, self.recordings, strict=True):
+        """The files that it names, by table and key; tables of several are numbered as by `numbered_tables`."""
+        named = {("world", key): getattr(self.world, key) for key in ("blend", "mesh")}
+        for at, recording in enumerate(self.recordings, start=1):
+            table = _numbered("traffic", at)
             named[table, "path"] = recording.path
             if found := meta_files(recording.path, recording.format):
                 named |= {(table, f"meta {one.name}"): str(one) for one in found}
             for number, path in enumerate(recording.vehicle_types or (), start=1):
                 named[table, "vehicle_types" if number == 1 else f"vehicle_types {number}"] = path
-        if isinstance(self.road, MappedRoad) and self.road.path:
-            named["road", "net" if self.road.net else "opendrive"] = self.road.path
+        named |= {("road", key): getattr(self.road, key) for key in ("net", "opendrive")}
         named |= {("world", f"vehicles {kind}"): file for kind, (file, _) in self.world.bodies.items()}
         named["drawing", "image"] = self.drawing.image
-        if not self.lidar_name:
-            named["deployment", "poles"] = self.deployment.poles_file
-            named["sensor", "name"] = self.sensor.name if self.sensor.is_file else None
-        for table, lidar in zip(self._lidar_tables, self.lidars if self.lidar_name else (), strict=False):
+        for number, lidar in enumerate(self.lidars, start=1):
+            table = _numbered("lidar", number)
             named[table, "poles"] = lidar.deployment.poles_file
-            named[table, "sensor"] = lidar.sensor.name if lidar.sensor.is_file else None
+            named[table, "sensor"] = lidar.sensor.name if is_sensor_file(lidar.sensor.name) else None
         return {place: path for place, path in named.items() if path is not None}
 
-    @property
-    def _traffic_tables(self) -> list[str]:
-        return ["traffic", *(f"traffic {number}" for number in range(2, len(self.recordings) + 1))]
-
-    @property
-    def _lidar_tables(self) -> list[str]:
-        return ["lidar", *(f"lidar {number}" for number in range(2, len(self.lidars) + 1))]
-
-    def as_tables(self) -> dict[str, dict]:
-        """The scene as used, in the layout of a scene file: reading it again gives this scene.
-
-        Of several recordings the second table is called "traffic 2", and so of [[lidar]].
-        """
-        kinds = ("road", "world", "sensor", "region", "objective", "search", "model", "drawing")
-        tables = dict(zip(self._traffic_tables, map(asdict, self.recordings), strict=True))
-        tables |= {name: asdict(getattr(self, name)) for name in kinds}
-        tables["baseline"] = {"installer": not self.baseline_hangs}
-        if not self.lidar_name:
-            tables["baseline"] |= {key: self.baseline.as_table()[key] for key in MOUNTED}
-            return {**tables, "deployment": self.deployment.as_table()}
+    def as_tables(self) -> dict[str, dict | list[dict]]:
+        """The scene as used, in the layout of a scene file, in the long form: reading it again gives this scene."""
+        kinds = ("world", "region", "objective", "search", "model", "drawing")
         sensors = {lidar.sensor.name: asdict(lidar.sensor) for lidar in self.lidars}
+        shared = {key: next(iter(sensors.values()))[key] for key in OF_ANY_MODEL}
         own = {name: {key: of[key] for key in of if key not in OF_ANY_MODEL} for name, of in sensors.items()}
-        tables["sensor"] = {key: tables["sensor"][key] for key in OF_ANY_MODEL} | own
-        for name, lidar in zip(self._lidar_tables, self.lidars, strict=True):
-            baseline = {key: lidar.baseline.as_table()[key] for key in MOUNTED}
-            tables[name] = {**lidar.as_table(), "baseline": baseline}
+        traffic = [asdict(one) for one in self.recordings]
+        return {
+            "traffic": traffic if len(traffic) > 1 else traffic[0],
+            "road": self.road.as_table(),
+            **{name: asdict(getattr(self, name)) for name in kinds},
+            "sensor": shared | (own if len(own) > 1 else next(iter(own.values()))),
+            "baseline": {"installer": not self.baseline_hangs},
+            "lidar": [lidar.as_table() for lidar in self.lidars],
+        }
+
+    def with_whole_paths(self) -> dict[str, dict | list[dict]]:
+        """`as_tables` with paths from the root on, so that they mean the same from any folder."""
+        tables = self.as_tables()
+        for table in [tables["traffic"]] if len(self.recordings) == 1 else tables["traffic"]:
+            table["path"] = _whole(table["path"])
+            table["vehicle_types"] = tuple(map(_whole, table["vehicle_types"] or ())) or None
+        for table, keys in {"road": ("net", "opendrive"), "world": ("blend", "mesh"), "drawing": ("image",)}.items():
+            tables[table] |= {key: _whole(tables[table][key]) for key in keys if tables[table].get(key)}
+        tables["world"]["vehicles"] = {kind: _whole(path) for kind, path in self.world.vehicles.items()}
+        tables["sensor"] = {_whole(key) if is_sensor_file(key) else key: of for key, of in tables["sensor"].items()}
+        for table in (tables["sensor"], *tables["lidar"]):
+            for key in ("name", "sensor", "poles"):
+                if table.get(key) and (key == "poles" or is_sensor_file(table[key])):
+                    table[key] = _whole(table[key])
         return tables
 
-    def with_whole_paths(self) -> dict[str, dict]:
-        """`as_tables` as a file has them, paths from the root on, so that they mean the same from any folder.
 
-        Several recordings are a list.
-        """
-        tables = self.as_tables()
-        for (table, key), path in self.files.items():
-            key, _, number = key.partition(" ")
-            if key == "meta":  # found beside the recording
-                continue
-            if key == "vehicles":
-                tables[table][key][number] = str(Path(self.world.vehicles[number]).resolve())
-                continue
-            whole, before = str(Path(path).resolve()), tables[table][key] if number else []
-            tables[table][key] = [*before, whole] if key == "vehicle_types" else whole
-            if (table, key) == ("lidar", "sensor") or (table.startswith("lidar ") and key == "sensor"):
-                tables["sensor"][whole] = tables["sensor"].pop(path, tables["sensor"].get(whole))
-                if tables["sensor"]["name"] == path:
-                    tables["sensor"]["name"] = whole
-        traffic = [tables.pop(name) for name in self._traffic_tables]
-        lidars = [tables.pop(name) for name in self._lidar_tables if name in tables]
-        tables = {"traffic": traffic if len(traffic) > 1 else traffic[0], **tables}
-        return {**tables, "lidar": lidars} if lidars else tables
+def numbered_tables(tables: Mapping[str, dict | list[dict]]) -> dict[str, dict]:
+    """Tables by names that tell lists of them apart: the second of [[traffic]] is "traffic 2"."""
+    return {
+        _numbered(name, number): table
+        for name, listed in tables.items()
+        for number, table in enumerate(listed if isinstance(listed, list) else [listed], start=1)
+    }
+
+
+def _numbered(name: str, number: int) -> str:
+    return name if number == 1 else f"{name} {number}"
+
+
+def _whole(path: str) -> str:
+    return str(Path(path).resolve())
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -351,54 +289,50 @@ def scenario_of(
     for name in tables:
         if name not in DECLARED:
             raise unknown_name(name, DECLARED, "table", source)
-    where, overrides, given = where or partial(_in_file, source), overrides or {}, "lidar" in tables
-    of_file = scene_tables(tables, {}, where, folder)
-    tables = scene_tables(tables, overrides, where, folder)
-    traffic, *further = recordings_from([table for name, table in tables.items() if name.split()[0] == "traffic"])
-    road, hung = road_from(tables["road"]), [table for name, table in tables.items() if name.split()[0] == "lidar"]
-    road_map = road_map_from(tables["road"], road, [traffic, *further])
-    if given:
-        if tables["deployment"].values:
-            raise InputError(
-                f"{tables['deployment'].name}: is given beside [[lidar]]; allowed: its keys in each [[lidar]]"
-            )
-        names, sensors, deployments = zip(*deployments_from(hung, tables["sensor"], road, road_map), strict=True)
-        deployments = with_installers([one for name, one in of_file.items() if name.split()[0] == "lidar"], deployments)
-    else:
-        names, sensors = [""], [sensor_from(tables["sensor"])]
-        deployments = [deployment_from(tables["deployment"], road, road_map)]
-    if len(names) > 1:
-        check_region_of_several(tables["region"])
-    region = region_from(tables["region"], sensors[0], of_file, overrides, road_map)
-    if not isinstance(road, StraightRoad):
-        middle_xy = region_of(region, road_map).centre_xy
-        deployments = [replace(one, middle_xy=middle_xy) for one in deployments]
-    objective = objective_from(tables["objective"])
-    if given:
-        baselines = baselines_from(tables["baseline"], hung, deployments, region)
-    else:
-        baselines = [baseline_from(tables["baseline"], deployments[0], region)]
-    lidars = list(map(HungLidar, names, sensors, deployments, baselines))
-    check_aims(hung, lidars)
-    search = search_from(tables["search"], lidars)
-    if given and len(lidars) == 1:
-        where = partial(lidar_where, where, 1)
+    where, overrides = where or partial(_in_file, source), overrides or {}
+    of_file, tables = scene_tables(tables, {}, where, folder), scene_tables(tables, overrides, where, folder)
+    recordings, road = recordings_from(tables["traffic"]), road_from(tables["road"][0])
+    roadside = Roadside(road, road_map_from(tables["road"][0], road, recordings))
+    region = _region(tables, of_file, overrides, roadside)
+    roadside = replace(roadside, middle_xy=region_of(region, roadside.map).centre_xy)
+    lidars = lidars_from(tables, of_file, roadside)
+    ((world,), (objective,), (search,), (model,), (drawing,)) = (
+        tables[name] for name in ("world", "objective", "search", "model", "drawing")
+    )
     return Scenario(
         source=source,
         where=where,
-        traffic=traffic,
+        recordings=tuple(recordings),
         road=road,
-        world=world_from(tables["world"], road),
-        sensor=lidars[0].sensor,
-        deployment=lidars[0].deployment,
+        road_map=roadside.map,
+        world=world_from(world, road),
+        lidars=lidars,
         region=region,
-        baseline=lidars[0].baseline,
-        objective=objective,
-        search=search,
-        model=model_from(tables["model"]),
-        drawing=drawing_from(tables["drawing"]),
-        further_traffic=tuple(further),
-        lidar_name=lidars[0].name,
-        further_lidars=tuple(lidars[1:]),
-        baseline_hangs=not tables["baseline"].some(BASELINE)["installer"],
+        objective=objective_from(objective),
+        search=search_from(search, lidars),
+        model=model_from(model),
+        drawing=drawing_from(drawing),
+        baseline_hangs=not tables["baseline"][0].some(BASELINE)["installer"],
     )
+
+
+def _region(
+    tables: Mapping[str, list[TomlTable]],
+    of_file: Mapping[str, list[TomlTable]],
+    overrides: Overrides,
+    roadside: Roadside,
+) -> RegionSettings:
+    """[region], resolved by what the first LiDAR of the scene file says, where there is one."""
+    if len(tables["lidar"]) > 1:
+        check_region_of_several(tables["region"][0])
+
+    def mount_of_file() -> tuple[Deployment, TomlTable]:
+        own = Roadside(road_from(of_file["road"][0]), roadside.map)
+        return deployment_of(of_file, own), (*of_file["lidar"], *of_file["deployment"])[0]
+
+    def gate(of: Mapping[str, list[TomlTable]]) -> float:
+        return sensor_from(of["sensor"][0], *of["lidar"][:1]).range_gate_m
+
+    gate_m, changed = gate(tables), any(place[0] == "sensor" for place in overrides)
+    own_gate = partial(gate, of_file if changed else tables)
+    return region_from(tables["region"][0], roadside.map, gate_m, mount_of_file, own_gate)

@@ -5,6 +5,7 @@ Options of the command line replace the file's values before they are checked, s
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -13,16 +14,14 @@ from pathlib import Path
 from ..errors import InputError, shown
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..optimise import SEARCHES, DePso, DePsoSettings, GridSearch, search_named
-from ..road.mapped import Road
 from ..road.road_map import RoadMap
-from ..road.straight import StraightRoad
+from ..road.settings import RoadSettings
 from ..toml_table import TomlTable
 from ..traffic.frames import DEFAULT_COUNT
 from ..traffic.vehicles import counted
-from .lidars import HungLidar, sensor_from
-from .places import deployment_from
+from .deployment import Deployment
+from .lidars import LidarSpec
 from .region import check_mapped, check_polygon
-from .roads import road_from
 from .settings import (
     DECLARED,
     GATE,
@@ -32,7 +31,6 @@ from .settings import (
     ObjectiveSettings,
     RegionSettings,
     SearchSettings,
-    SensorSettings,
     TrafficSettings,
     WorldSettings,
 )
@@ -48,10 +46,11 @@ _PAPERS_LOSS = -1.0  # bit; with any other metric a vehicle below the threshold 
 
 def scene_tables(
     values: Mapping[str, object], overrides: Overrides, where: Callable[[str, str], str], folder: Path
-) -> dict[str, TomlTable]:
-    """The tables of a scene, options in place of the settings that they replace or put out of force.
+) -> dict[str, list[TomlTable]]:
+    """The tables of a scene by name, options in place of the settings that they replace or put out of force.
 
-    Of several recordings, [[traffic]], the second table is called "traffic 2", and so of [[lidar]].
+    Of [[traffic]] and [[lidar]] there may be several, and of [[lidar]] none; of all others there is one. The second of
+    several is called "traffic 2" where errors name it.
     """
     tables = {}
     if "lidar" in values and INSTALLER in overrides:
@@ -65,9 +64,9 @@ def scene_tables(
             raise InputError(f"{where(name, '')}: is {found}; allowed: [[lidar]], one or more tables")
         if several and len(contents) > 1 and name == "traffic":
             _check_for_all(given, len(contents))
-        for number, content in enumerate(contents if several else [contents], start=1):
-            called = partial(where, f"{name} {number}" if several else name)
-            tables[name if number == 1 else f"{name} {number}"] = _table(name, content, called, given, folder)
+        listed = contents if several else [] if name == "lidar" else [contents]
+        called = (partial(where, f"{name} {number}" if several else name) for number in itertools.count(1))
+        tables[name] = [_table(name, content, of, given, folder) for content, of in zip(listed, called, strict=False)]
     return tables
 
 
@@ -113,14 +112,15 @@ def _table(
 
 def region_from(
     table: TomlTable,
-    sensor: SensorSettings,
-    of_file: Mapping[str, TomlTable],
-    overrides: Overrides,
     road_map: RoadMap,
+    gate_m: float,
+    mount_of_file: Callable[[], tuple[Deployment, TomlTable]],
+    gate_of_file: Callable[[], float],
 ) -> RegionSettings:
     """[region], resolved: a circle has its middle and radius, which depend on nothing that an option may change.
 
-    `of_file` are the scene file's tables without options: where it leaves something open its own mount and sensor say.
+    Where the scene file leaves them open its own mount and range gate say them, without options: `mount_of_file` gives
+    where its LiDAR may hang and the table that says so, `gate_of_file` its range gate [m]; `gate_m` is the one in use.
     """
     region = table.read_as(RegionSettings)
     mapped = [key for key in ("junction", "approaches", "lanes") if getattr(region, key)]
@@ -144,22 +144,21 @@ def region_from(
         return region
     centre, radius = region.centre_m, region.radius_m
     if centre is None:
-        deployment = deployment_from(of_file["deployment"], road_from(of_file["road"]), road_map)
-        searched = ["poles"] if deployment.poles else [key for key in ("x_m", "y_m") if key in deployment.bounds]
+        deployment, of_file = mount_of_file()
+        bounds = deployment.places[0].bounds
+        searched = ["poles"] if deployment.poles else [key for key in ("x_m", "y_m") if key in bounds]
         if searched:
             middle = ", ".join(f"{place:g}" for place in deployment.nominal_xy)
             several = "has several places" if deployment.poles else "is searched"
-            where = f"{of_file['deployment'].where(searched[0])}: {several}"
             raise InputError(
-                f"{where}, so that [region] must say where vehicles count; such as: [region] "
-                f"centre_m = [{middle}], radius_m = {sensor.range_gate_m:g}"
+                f"{of_file.where(searched[0])}: {several}, so that [region] must say where vehicles count; such as: "
+                f"[region] centre_m = [{middle}], radius_m = {gate_m:g}"
             )
         centre = deployment.nominal_xy
-    if radius == GATE:
-        radius = sensor.range_gate_m
-    elif radius is None:
-        changed = any(place[0] == "sensor" for place in overrides)
-        radius = (sensor_from(of_file["sensor"]) if changed else sensor).range_gate_m
+    if radius is None:
+        radius = gate_of_file()
+    elif radius == GATE:
+        radius = gate_m
     return replace(region, centre_m=centre, radius_m=radius)
 
 
@@ -187,13 +186,13 @@ def _traffic(table: TomlTable) -> TrafficSettings:
     return traffic if traffic.frame_ids or spread else replace(traffic, frames=DEFAULT_COUNT)
 
 
-def world_from(table: TomlTable, road: Road) -> WorldSettings:
+def world_from(table: TomlTable, road: RoadSettings) -> WorldSettings:
     world = table.read_as(WorldSettings)
     along = next((key for key in ("barriers", "clutter") if getattr(world, key)), None)
-    if along and not isinstance(road, StraightRoad):
+    if along and road.is_map:
         raise InputError(f"{table.where(along)}: lie along a straight road; allowed on a map: boxes, blend or mesh")
     file = next((key for key in ("blend", "mesh") if getattr(world, key)), None)
-    if file and isinstance(road, StraightRoad) and not road.is_level:
+    if file and not road.is_level:
         raise InputError(
             f"{table.where(file)}: is given beside a [road] with a grade or a cross-fall, and does not say whether it "
             "is plumb; allowed: boxes and barriers, which stand square on the road"
@@ -223,7 +222,7 @@ def objective_from(table: TomlTable) -> ObjectiveSettings:
     return objective
 
 
-def search_from(table: TomlTable, lidars: Sequence[HungLidar]) -> SearchSettings:
+def search_from(table: TomlTable, lidars: Sequence[LidarSpec]) -> SearchSettings:
     """[search]."""
     search = table.read_as(SearchSettings)
     if len(lidars) > 1 and search.fidelity != "full":

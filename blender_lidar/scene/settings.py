@@ -34,8 +34,7 @@ from ..names import (
     VIEWS,
     WARNINGS,
 )
-from ..road.mapped import MappedRoad
-from ..road.straight import StraightRoad
+from ..road.settings import RoadSettings
 from ..toml_table import setting, settings_of
 from .deployment import BASELINE, DEPLOYMENT, HEADING, STAND, MountingErrors
 
@@ -495,7 +494,7 @@ class ModelSettings:
 
 DECLARED = {
     "traffic": settings_of(TrafficSettings),
-    "road": settings_of(StraightRoad) | settings_of(MappedRoad),
+    "road": settings_of(RoadSettings),
     "world": settings_of(WorldSettings),
     "sensor": settings_of(SensorSettings),
     "deployment": DEPLOYMENT | STAND,

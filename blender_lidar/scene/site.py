@@ -13,6 +13,7 @@ from ..casting import resolve
 from ..casting.instances import OwnBodies
 from ..casting.protocol import StandingScenery
 from ..errors import InputError
+from ..rigid import Rigid
 from ..road.road_map import RoadMap
 from ..sensors.beams import BeamLattice, beam_lattice
 from ..sensors.lidar import Lidar
@@ -28,7 +29,7 @@ from ..world.meshes import SURFACES
 from ..world.needs_blender import blender_room
 from ..world.scenery import Scenery, along_road, barrier, box, boxes_reach, join, road_surface
 from . import usual
-from .mount_checks import check_mount_is_clear, extent, mount_notes
+from .mount_checks import check_mount_is_clear, check_places_are_clear, extent, mount_notes
 from .mounting import Mounting
 from .observation import Observation, Scoring, check_weights, of_scored_class, vehicle_weights
 from .place_checks import nobody_there
@@ -37,7 +38,7 @@ from .provenance import run_identity, unchanged_inputs
 from .region import Region, region_of
 from .roads import read_settings
 from .scenario import Scenario
-from .settings import ObjectiveSettings, SensorSettings
+from .settings import ObjectiveSettings, SensorSettings, TrafficSettings
 
 # --- The scenery that a scene's [world] describes: files that Blender reads, boxes and barriers, in the road frame -
 
@@ -90,14 +91,12 @@ _MILLIMETRES_FROM_M = 5000.0
 def _near(scenario: Scenario, path: str, centre: tuple[float, float], reach_m: float) -> Scenery:
     """What of a file lies within reach; a file of which nothing does is most likely put in the wrong place."""
     world, read_site, usual = scenario.world, blender_room("site", path).read_site, _UP.get(Path(path).suffix.lower())
-    heading = math.radians(world.heading_deg)
-    cos, sin = math.cos(heading), math.sin(heading)
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])  # for rows
+    T_site_file = Rigid.about_z(math.radians(world.heading_deg), world.origin_m).inverse
 
     def to_road(points: np.ndarray, *, tipped: bool = False) -> np.ndarray:
         if tipped:  # from y up to z up is a quarter turn about x, and back
             points = points[..., [0, 2, 1]] * ([1.0, 1.0, -1.0] if usual == "y" else [1.0, -1.0, 1.0])
-        return (points - np.array(world.origin_m)) @ turn
+        return T_site_file.points(points)
 
     if world.up and path == world.mesh and not usual:
         raise InputError(f"[world] up: {path}: says itself which axis is up; allowed for {', '.join(_UP)}")
@@ -203,13 +202,16 @@ class Site:
         """The sensor of a layout of one, as the unit that hangs there."""
         return self.observation.lattice.model
 
+    def with_lidar(self, number: int) -> Site:
+        """The same site with one of its LiDARs, by its number from 0."""
+        scenario = self.scenario.with_lidars(self.scenario.lidars[number])
+        observation = replace(self.observation, lidars=self.observation.lidars[number : number + 1])
+        return replace(self, scenario=scenario, observation=observation)
+
     @property
-    def each(self) -> tuple[Site, ...]:
-        """The same site with each of its LiDARs alone."""
-        lidars = zip(self.scenario.each, self.observation.lidars, strict=True)
-        return tuple(
-            replace(self, scenario=one, observation=replace(self.observation, lidars=(lidar,))) for one, lidar in lidars
-        )
+    def models(self) -> tuple[LidarModel, ...]:
+        """The sensor of each LiDAR, as the unit that hangs there."""
+        return tuple(lidar.lattice.model for lidar in self.observation.lidars)
 
     @property
     def region(self) -> Region:
@@ -279,10 +281,10 @@ def prepare(
     recording, plan = joined_recordings(recordings, names), joined_plans(plans, recordings, names)
     frames = [recording.at(frame) for frame in (*plan.search, *plan.holdout)]
     stands = standing and standing.scenery
-    check_mount_is_clear(scenario, frames, scenery=stands)
-    hosts = scenario.each if len(given) == len(scenario.lidars) else [scenario] * len(given)
-    for host, mount in zip(hosts, given, strict=True):
-        check_mount_is_clear(host, frames, {"--x, --y": mount}, stands)
+    check_places_are_clear(scenario, frames, stands)
+    hung = scenario.lidars if len(given) == len(scenario.lidars) else scenario.lidars[:1] * len(given)
+    for lidar, mount in zip(hung, given, strict=True):
+        check_mount_is_clear(scenario, lidar, frames, {"--x, --y": mount}, stands)
     reach = reach_of(scenario, given)
     searched = tuple(_counted(frame, region, reach, objective) for frame in frames[: len(plan.search)])
     held_out = tuple(
@@ -338,18 +340,19 @@ def _out_of_range(scenario: Scenario, given: Sequence[Mounting], searched: Seque
     """
     xy = np.concatenate([frame.centre_m[frame.counted, :2] for frame in searched])
     half = 0.5 * np.concatenate([frame.size_m[frame.counted, 0] for frame in searched])
-    beyond, several = np.ones(len(xy), dtype=bool), bool(scenario.further_lidars)
-    for number, one in enumerate(scenario.each):
-        mounts = given[number : number + 1] if several and given else given or one.deployment.places
+    beyond = np.ones(len(xy), dtype=bool)
+    for number, lidar in enumerate(scenario.lidars):
+        own = given[number : number + 1] if scenario.is_layout else given
+        mounts, gate = own or lidar.deployment.places, lidar.sensor.range_gate_m
         away = [np.maximum(np.maximum(low[:2] - xy, xy - high[:2]), 0.0) for low, high in map(extent, mounts)]
-        own = np.min([np.hypot(*off.T) for off in away], axis=0) - half > one.range_gate_m
-        beyond &= own
-        if several and own.all():
-            place = "x {:.6g}, y {:.6g} m".format(*(given[number].xy if given else one.deployment.nominal_xy))
+        too_far = np.min([np.hypot(*off.T) for off in away], axis=0) - half > gate
+        beyond &= too_far
+        if scenario.is_layout and too_far.all():
+            place = "x {:.6g}, y {:.6g} m".format(*(own[0].xy if own else lidar.deployment.nominal_xy))
             raise InputError(
-                f"{one.where('deployment', '')}: LiDAR {one.lidar_name} at {place} has no box that counts in the "
-                f"searched frames within its range gate of {one.range_gate_m:g} m, and can never see any; check "
-                "[region], range_gate_m and its place"
+                f"{scenario.where(lidar.table, '')}: LiDAR {lidar.name} at {place} has no box that counts in the "
+                f"searched frames within its range gate of {gate:g} m, and can never see any; check [region], "
+                "range_gate_m and its place"
             )
     share = beyond.mean()
     if share <= usual.SOME:
@@ -442,18 +445,18 @@ def read_recording(scenario: Scenario) -> Recording:
 
 def read_recordings(scenario: Scenario) -> list[Recording]:
     """The recordings that a scene names, each by itself."""
-    alone = [replace(scenario, traffic=one) for one in scenario.recordings]
-    read = [_read_one(one, number) for number, one in enumerate(alone)]
-    asked = [number for one in alone for number in one.traffic.leave_out or ()]
+    read = [_read_one(scenario, number) for number in range(len(scenario.recordings))]
+    asked = [number for settings in scenario.recordings for number in settings.leave_out or ()]
     unknown = np.setdiff1d(asked, np.concatenate([one.vehicle_id for one in read]))
     if len(unknown):
         sources = ", ".join(one.source for one in read)
         raise InputError(f"{scenario.where('traffic', 'leave_out')}: {sources} has no vehicle {unknown[0]}")
-    return [_finished(one, recording) for one, recording in zip(alone, read, strict=True)]
+    each = zip(scenario.recordings, read, strict=True)
+    return [_finished(scenario, settings, recording) for settings, recording in each]
 
 
 def _read_one(scenario: Scenario, number: int) -> Recording:
-    settings, world = scenario.traffic, scenario.world
+    settings, world = scenario.recordings[number], scenario.world
     recording = read_settings(settings, scenario.road)
     recording = with_variety(recording, world.variety, world.variety_seed, number)
     if not world.pedestrians and "pedestrian" not in scenario.objective.scored_classes:
@@ -467,12 +470,11 @@ def _read_one(scenario: Scenario, number: int) -> Recording:
     return recording
 
 
-def _finished(scenario: Scenario, recording: Recording) -> Recording:
+def _finished(scenario: Scenario, settings: TrafficSettings, recording: Recording) -> Recording:
     """A recording without the vehicles that are left out, checked, on the road's surface."""
-    left_out = scenario.traffic.leave_out
-    if left_out is not None:
-        recording = recording.select(~np.isin(recording.vehicle_id, left_out))
-    return _on_surface(checked_recording(recording, scenario), scenario.road_map)
+    if settings.leave_out is not None:
+        recording = recording.select(~np.isin(recording.vehicle_id, settings.leave_out))
+    return _on_surface(checked_recording(recording, replace(scenario, recordings=(settings,))), scenario.road_map)
 
 
 def _on_surface(recording: Recording, road: RoadMap) -> Recording:
@@ -513,7 +515,7 @@ def _counted(vehicles, region, reach, objective: ObjectiveSettings, not_counted=
 def _with_ways(frames: Sequence[Boxes], recording: Recording, scenario: Scenario, region: Region) -> tuple[Boxes, ...]:
     """The frames with approach, exit and movement of each vehicle, and the map's lane; none beside a straight road."""
     road = scenario.road_map
-    if scenario.straight is not None:
+    if road.endless:
         return tuple(frames)
     junctions = [scenario.region.junction] if scenario.region.junction else _junctions_in(region, road)
     ways = ways_by_map(recording, road, junctions) if road.lanes else ways_by_track(recording, region.centre_xy)

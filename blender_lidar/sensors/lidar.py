@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from dataclasses import dataclass
 
+from ..names import THE_LIDAR
 from .beams import BeamLattice
 from .imperfections import PERFECT, Imperfections, MeasurementModel
 
@@ -29,7 +30,12 @@ class Lidar:
     max_range_m: float
     min_range_m: float = 0.0
     imperfections: Imperfections = PERFECT
-    name: str = ""
+    name: str = THE_LIDAR
+
+    @property
+    def key(self) -> tuple[int, ...]:
+        """What of the keys of random draws is its own: CRC-32 of its name; nothing where a scene's one has no other."""
+        return () if self.name == THE_LIDAR else (zlib.crc32(self.name.encode()),)
 
     @property
     def reach_m(self) -> float:
@@ -38,6 +44,6 @@ class Lidar:
 
     def measurement(self, frame: int) -> MeasurementModel:
         """What the beams of one frame draw, and so measure of what they meet."""
-        own = (zlib.crc32(self.name.encode()),) if self.name else ()
-        model = self.imperfections.measurement(self.lattice, frame, self.min_range_m, self.max_range_m, own)
+        ends = self.min_range_m, self.max_range_m
+        model = self.imperfections.measurement(self.lattice, frame, *ends, self.key)
         return model if (outside := self.lattice.outside) is None else model.without(outside)

@@ -57,11 +57,6 @@ class Candidates:
         return Candidates(self.variables, self.points[list(numbers)], layouts)
 
 
-def lidar_names(scenario: Scenario) -> list[str]:
-    """Names by which several LiDARs are told apart; that of a single one is nothing."""
-    return [lidar.name for lidar in scenario.lidars] if scenario.further_lidars else [""]
-
-
 def joint_space(scenario: Scenario) -> SearchSpace:
     """The search space of all LiDARs together, each on its one place."""
     lidars = scenario.lidars
@@ -78,7 +73,7 @@ def sobol_candidates(scenario: Scenario, count: int) -> Candidates:
     """
     space = joint_space(scenario)
     if not space.bounds:
-        table = "every [[lidar]]" if scenario.further_lidars else "[deployment]"
+        table = "every [[lidar]]" if scenario.is_layout else "[deployment]"
         raise InputError(f"{scenario.source}: {table} fixes every coordinate; allowed: at least one a pair [low, high]")
     lower, upper = np.array(space.lower, dtype=float), np.array(space.upper, dtype=float)
     points = sobol(scenario.search.seed, count, lower, upper)
@@ -131,7 +126,7 @@ def grid_candidates(scenario: Scenario, layout: Layout, heights: int, tilts: int
         )
         for point in points
     ]
-    named = zip(lidar_names(scenario), axes, strict=True)
+    named = zip(scenario.names, axes, strict=True)
     variables = tuple(variable_of(name, key) for name, keys in named for key in keys)
     return Candidates(variables, points, (scenario.baselines, *layouts))
 
@@ -150,7 +145,7 @@ def higher_mountings(scenario: Scenario, mounting: Mounting) -> tuple[list[Mount
     float
         Up to which height its bounds allow it [m].
     """
-    place, axis = scenario.deployment.places[0], joint_space(scenario).axes[1]
+    place, axis = scenario.lidar.deployment.places[0], joint_space(scenario).axes[1]
     _, allowed_m = place.bounds.get("height_m", (mounting.height_m,) * 2)
     up_to_m = max(_HIGHEST_M, allowed_m, mounting.height_m + _STEP_M)
     heights = np.arange(mounting.height_m + _STEP_M, up_to_m + 1e-9, _STEP_M).tolist()
@@ -168,7 +163,7 @@ def on_other_side(scenario: Scenario, mounting: Mounting) -> Mounting | None:
     The rotor turns the same way in both: only the order in time of its returns is another.
     """
     road = scenario.road_map
-    if scenario.straight is None or scenario.road.side_of(mounting.xy) not in ("left", "right"):
+    if road.side_of(mounting.xy) not in ("left", "right"):
         return None
     place = road.locate(np.array([mounting.xy]))
     x, y = road.at(place.s_m[0], sum(road.edges_t) - place.t_m[0])
@@ -181,9 +176,9 @@ def on_other_side(scenario: Scenario, mounting: Mounting) -> Mounting | None:
 
 def check_height_or_tilt_searched(scenario: Scenario) -> None:
     """Refuse a scene that fixes both height and tilt: there is no optimum whose place could be uncertain."""
-    every = [(lidar.deployment, lidar.deployment.spaces[0].axes) for lidar in scenario.lidars]
-    if not any(axis in deployment.bounds for deployment, axes in every for axis in axes):
-        table, fixed = "every [[lidar]]" if scenario.further_lidars else "[deployment]", " and ".join(every[0][1])
+    every = [(lidar.deployment.places[0], lidar.deployment.spaces[0].axes) for lidar in scenario.lidars]
+    if not any(axis in place.bounds for place, axes in every for axis in axes):
+        table, fixed = "every [[lidar]]" if scenario.is_layout else "[deployment]", " and ".join(every[0][1])
         raise InputError(f"{scenario.source}: {table} fixes {fixed}; allowed: at least one a pair [low, high]")
 
 
@@ -196,28 +191,26 @@ def at_one_place(scenario: Scenario, pole: str | None = None, layout: Layout | N
         When it has candidate poles and none is named, another is, or several recordings: a study is about one place and
         one recording.
     """
-    if scenario.further_traffic:
+    if len(scenario.recordings) > 1:
         raise InputError(
             f"{scenario.source}: [[traffic]]: {len(scenario.recordings)} recordings are for optimise and evaluate; a "
             "study is about one: [traffic]"
         )
-    if pole is not None and scenario.further_lidars:
+    if pole is not None and scenario.is_layout:
         raise InputError(f"--pole: is of one LiDAR, but the scene has {len(scenario.lidars)}; allowed: --run DIR")
     placed = []
-    for one, mounting in zip(scenario.each, layout or (None,) * len(scenario.lidars), strict=True):
-        poles = one.deployment.poles
-        found = one.deployment.pole_at(mounting.xy) if mounting else None
+    for lidar, mounting in zip(scenario.lidars, layout or (None,) * len(scenario.lidars), strict=True):
+        deployment, found = lidar.deployment, None
         if pole is not None:
-            found = one.deployment.pole_named(pole)
-        elif one.lidar_name and len(poles) == 1:
-            found = poles[0]
-        if poles and found is None:
+            found = deployment.on_pole(pole)
+        elif mounting and (there := deployment.pole_at(mounting.xy)):
+            found = deployment.on_pole(there.name)
+        elif len(deployment.places) == 1:
+            (found,) = deployment.places
+        if found is None:
             asked = "one place of each LiDAR, --run DIR or for stability --lidar NAME,pole=NAME"
-            asked = asked if scenario.further_lidars else "one place, --pole NAME"
-            where = one.where("deployment", "poles")
-            raise InputError(
-                f"{where}: are for optimise; a study is about {asked}: {', '.join(each.name for each in poles)}"
-            )
-        placed.append(one.deployment.on_pole(found) if found else one.deployment)
-    others = [replace(lidar, deployment=at) for lidar, at in zip(scenario.further_lidars, placed[1:], strict=True)]
-    return replace(scenario, deployment=placed[0], further_lidars=tuple(others))
+            asked = asked if scenario.is_layout else "one place, --pole NAME"
+            where, names = scenario.where(lidar.table, "poles"), ", ".join(pole.name for pole in deployment.poles)
+            raise InputError(f"{where}: are for optimise; a study is about {asked}: {names}")
+        placed.append(replace(lidar, deployment=deployment.at(found)))
+    return scenario.with_lidars(*placed)

@@ -34,7 +34,6 @@ from .candidates import (
     grid_candidates,
     higher_mountings,
     joint_space,
-    lidar_names,
     on_other_side,
 )
 from .driver import (
@@ -154,7 +153,7 @@ def study_stability(
     few = with_fewer_frames(whole, effort.varied_frames)
     answers = _answers(folder, whole, effort)
     own = tuple(_layout_of(scene, answer) for answer in answers)
-    reference, names = layout or _answer(folder, site), lidar_names(scene)
+    reference, names = layout or _answer(folder, site), scene.names
     installers = scene.studied_installers
 
     fine = grid_candidates(scene, reference, effort.heights, effort.fine_tilts)
@@ -220,10 +219,10 @@ def _answer(folder: StudyFolder, site: Site) -> Layout:
         total = sum(most_evaluations(scene, space) for lidar in scene.lidars for space in lidar.deployment.spaces)
         with folder.counting(total, "mountings of the answer") as shown, site_evaluator(site, site.search) as evaluator:
             replay, listener = Replay(None, {}, resume=False), _Counted(shown)
-            if scene.further_lidars:
+            if scene.is_layout:
                 found = search_layout(site, evaluator, replay, listener)
             else:
-                found = search_place(site, scene.deployment.spaces[0], evaluator, replay, listener)
+                found = search_place(site, scene.lidar.deployment.spaces[0], evaluator, replay, listener)
         folder.store(stage, {"mounting": _told(scene, found.layouts["optimised"])})
     return _layout_of(scene, folder.stored(stage))
 
@@ -273,14 +272,14 @@ def _answers(folder: StudyFolder, site: Site, effort: StabilityEffort) -> list[d
 
 def _told(scene: Scenario, layout: Layout) -> dict:
     """The coordinates of a layout as JSON holds them, of several LiDARs by their names."""
-    tables = {name: mounting.as_table() for name, mounting in zip(lidar_names(scene), layout, strict=True)}
+    tables = {name: mounting.as_table() for name, mounting in zip(scene.names, layout, strict=True)}
     return tables.get("", tables)
 
 
 def _layout_of(scene: Scenario, answer: Mapping) -> Layout:
     """The layout of one of `_answers`."""
-    told = by_name(answer["mounting"], lidar_names(scene))
-    return tuple(one.mounting(table) for one, table in zip(scene.each, told.values(), strict=True))
+    told = by_name(answer["mounting"], scene.names)
+    return tuple(one.mounting(table) for one, table in zip(scene.lidars, told.values(), strict=True))
 
 
 def _judging_split(site: Site) -> str:

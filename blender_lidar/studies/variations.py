@@ -224,7 +224,7 @@ def ablations(site: Site, draws: int) -> list[Ablation]:
 
 def _median_barrier(site: Site, own: Variation) -> list[Ablation]:
     """A barrier along a straight road; none on a map, on which no barrier can stand."""
-    if site.scenario.straight is None:
+    if not site.scenario.road_map.endless:
         return []
     road, (right, left) = site.scenario.road_map, site.scenario.road_map.edges_t
     middle = right + (left - right) / len(road) * (len(road) // 2)
@@ -263,7 +263,7 @@ def _installation(site: Site, own: Variation) -> Ablation:
 
 def _has_heights(site: Site) -> bool:
     """Whether the site's map is not level."""
-    return site.scenario.straight is None and not site.scenario.road_map.surface.is_flat
+    return site.scenario.road_map.surface.is_ground
 
 
 def _heights(site: Site, own: Variation) -> list[Ablation]:

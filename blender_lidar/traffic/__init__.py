@@ -14,7 +14,7 @@ from pathlib import Path
 from ..csv_tables import delimiter_of, first_lines, foreign, quoted
 from ..errors import InputError, unknown_name
 from ..names import TRAFFIC_FORMATS
-from ..road import StraightRoad
+from ..road import RoadSettings
 from .boxes import Boxes
 from .frames import FramePlan, instants, joined_plans, joined_recordings, plan_frames, well_populated_frames
 from .ngsim import NGSIM_COLUMNS, read_ngsim
@@ -49,7 +49,7 @@ _READERS |= {name: partial(read_preset, preset=name) for name in PRESETS}
 
 
 def read_traffic(
-    path: str | Path, *, format: str = "auto", road: StraightRoad | None = None, **settings: object
+    path: str | Path, *, format: str = "auto", road: RoadSettings | None = None, **settings: object
 ) -> Recording:
     """Read a recording of any format.
 
@@ -60,7 +60,7 @@ def read_traffic(
     format : str
         One of `TRAFFIC_FORMATS`;
         ``"auto"`` looks at the file's beginning.
-    road : StraightRoad, optional
+    road : RoadSettings, optional
         For NGSIM; I-80's if left out.
     **settings
         Those of the format, see `ngsim.read_ngsim`, `sumo.read_sumo`, `table.read_table`; None counts as left out.
@@ -85,7 +85,7 @@ def read_traffic(
         if name not in inspect.signature(read).parameters:
             raise InputError(f"{path}: {name} = {value!r} does not apply to traffic of format {format!r}")
     if format == "ngsim":
-        given["road"] = road or StraightRoad()
+        given["road"] = road or RoadSettings()
     recording = read(path, **given)
     return with_overlaps_reported(replace(recording, report=replace(recording.report, format=format)))
 

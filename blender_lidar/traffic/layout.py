@@ -15,11 +15,12 @@ import numpy as np
 
 from ..errors import InputError
 from ..names import SIDES
-from ..road import StraightRoad
+from ..rigid import Rigid
+from ..road import RoadSettings
 from ..road.road_map import wrap_angle
 from .lanes import FEW, FEWEST_ON_A_ROAD, ONE_CARRIAGEWAY_M, Lanes, lanes_across
 from .motion import SAME_WAY_RAD, Samples, busiest_place, directions, near_place, sharpest, turned, unturned
-from .vehicles import Placing, Recording
+from .vehicles import Recording
 
 HALF_STRETCH_M = 50.0
 _CROSSING_RAD = math.radians(30.0)  # off the road, who drives across it
@@ -46,9 +47,11 @@ class RoadLayout:
 
     Attributes
     ----------
-    placing : Placing
-        Where the road frame lies in the file's plane.
-    road : StraightRoad
+    origin_m : (float, float)
+        The road frame's origin in the file's plane [m].
+    heading_deg : float
+        Direction of its x axis there, counter-clockwise.
+    road : RoadSettings
         In that frame.
     lane_y : ndarray, (k,)
         Measured lane centres, from the right, in the road frame [m]; a lane that nobody uses has none.
@@ -68,8 +71,9 @@ class RoadLayout:
         What else there is, and what to check, as sentences; another carriageway with its lines of a scene.
     """
 
-    placing: Placing
-    road: StraightRoad
+    origin_m: tuple[float, float]
+    heading_deg: float
+    road: RoadSettings
     lane_y: np.ndarray
     lane_numbers: tuple[int, ...]
     stretch_m: tuple[float, float]
@@ -80,6 +84,11 @@ class RoadLayout:
     notes: tuple[str, ...]
 
     @property
+    def T_file_site(self) -> Rigid:
+        """From the road frame to the file's plane."""
+        return Rigid.about_z(math.radians(self.heading_deg), self.origin_m)
+
+    @property
     def pole_y(self) -> float:
         """The y of the pole, which stands at the kerb at x = 0 [m]."""
         return self.road.place(self.road.drives_on)[0]
@@ -87,22 +96,23 @@ class RoadLayout:
     @property
     def pole_m(self) -> tuple[float, float]:
         """The pole in the file's plane [m]."""
-        return self.placing.in_file(0.0, self.pole_y)
+        return tuple(self.T_file_site.points((0.0, self.pole_y)).tolist())
 
-    def ngsim_road(self) -> StraightRoad:
+    def ngsim_road(self) -> RoadSettings:
         """[road] of an NGSIM recording, whose plane is (Local_Y, -Local_X) [m]."""
-        x, y = self.placing.origin_m
+        x, y = self.origin_m
         return replace(self.road, station_m=round(x, 2), right_edge_m=round(-y - self.road.setback_m, 2))
 
     def mirrored(self) -> RoadLayout:
         """Right-hand traffic, in the mirror, as the left-hand traffic that it is: the pole stays where it stands."""
-        (x, y), right = self.placing.origin_m, self.road
+        (x, y), right = self.origin_m, self.road
         road = replace(right, drives_on=SIDES[1])
         y_m = right.place(SIDES[1])[0]  # of what lies on y = 0 in the mirror
-        pole = Placing((x, -y + 0.0), -self.placing.heading_deg + 0.0)
-        origin = tuple(round(one, 2) + 0.0 for one in pole.in_file(0.0, -y_m))
+        heading_deg = -self.heading_deg + 0.0
+        kerb = Rigid.about_z(math.radians(heading_deg), (x, -y + 0.0)).points((0.0, -y_m))
+        origin = tuple(round(one, 2) + 0.0 for one in kerb.tolist())
         lane_y, numbers = (y_m - self.lane_y)[::-1], self.lane_numbers[::-1]
-        return replace(self, placing=replace(pole, origin_m=origin), road=road, lane_y=lane_y, lane_numbers=numbers)
+        return replace(self, origin_m=origin, heading_deg=heading_deg, road=road, lane_y=lane_y, lane_numbers=numbers)
 
 
 def propose_layout(recording: Recording, *, follows_x: bool = False, kerb_lane: bool = False) -> RoadLayout:
@@ -163,7 +173,7 @@ def _with_others(found: list[RoadLayout]) -> RoadLayout:
     best, *others = found
     notes = list(best.notes)
     for other in others:
-        (x, y), heading = other.placing.origin_m, other.placing.heading_deg
+        (x, y), heading = other.origin_m, other.heading_deg
         notes.append(
             f"also {other.vehicles + other.oncoming:,} vehicles on another carriageway; for it put these in their "
             f"tables, and check the region:\n[traffic]\norigin_m = [{x:.2f}, {y:.2f}]\n"
@@ -173,7 +183,7 @@ def _with_others(found: list[RoadLayout]) -> RoadLayout:
     return replace(best, notes=tuple(notes))
 
 
-def _carriageways(road: StraightRoad) -> str:
+def _carriageways(road: RoadSettings) -> str:
     if road.carriageways == 1:
         return "carriageways = 1  # without median_m"
     return f"carriageways = {road.carriageways}\nmedian_m = {road.median_m:g}"
@@ -384,7 +394,7 @@ def _clear(everything: Samples, u, v, direction: float, line: float, edges: np.n
 def _layout(found: _Station, lanes: Lanes, place: np.ndarray, direction: float, oncoming: int) -> RoadLayout:
     shift = lanes.right_m - found.setback_m  # across, of the line y = 0
     origin = place + unturned(0.0, shift, direction)
-    road = StraightRoad(
+    road = RoadSettings(
         carriageways=1 if lanes.median_m is None else 2,
         median_m=lanes.median_m,
         setback_m=found.setback_m,
@@ -392,7 +402,8 @@ def _layout(found: _Station, lanes: Lanes, place: np.ndarray, direction: float, 
         lane_width_m=lanes.width_m,
     )
     return RoadLayout(
-        placing=Placing(tuple(np.round(origin, 2).tolist()), round(math.degrees(direction), 2)),
+        origin_m=tuple(np.round(origin, 2).tolist()),
+        heading_deg=round(math.degrees(direction), 2),
         road=road,
         lane_y=lanes.centres - shift,
         lane_numbers=lanes.numbers,

@@ -14,7 +14,7 @@ import numpy as np
 from ..csv_tables import EMPTY, Column, Rows, TableLayout, fields_of, first_lines, header_names, laid_out, read_rows
 from ..errors import InputError, unknown_name
 from ..files import number
-from ..road import StraightRoad
+from ..road import RoadSettings
 from .tracks import (
     WINDOW_S,
     class_index,
@@ -38,7 +38,7 @@ _OFF_MAP_M = 2000.0
 def read_ngsim(
     path: str | Path,
     *,
-    road: StraightRoad,
+    road: RoadSettings,
     period: int | str | None = None,
     location: str | None = None,
     height_m: Mapping[str, float] | None = None,
@@ -51,7 +51,7 @@ def read_ngsim(
     Parameters
     ----------
     path : path
-    road : StraightRoad
+    road : RoadSettings
         Where the road frame lies in the recording's local coordinates.
     period : int or str, optional
         Number, from 1, or name such as ``"0400-0415"``; the first if left out, and the report says so. Periods are
@@ -111,7 +111,7 @@ def _taken(rows: dict[str, np.ndarray], which: np.ndarray) -> dict[str, np.ndarr
 def _boxes(
     rows: dict[str, np.ndarray],
     time_step_s: float,
-    road: StraightRoad,
+    road: RoadSettings,
     follows_road: bool,
     height_m: Mapping[str, float] | None,
     source: str,

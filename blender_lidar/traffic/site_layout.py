@@ -11,9 +11,9 @@ import numpy as np
 from ..errors import InputError
 from ..road.approaches import approaches_to, check_driven, junction_named
 from ..road.driven import DrivenArea, driven_area
-from ..road.mapped import MappedRoad, map_of
 from ..road.pole_places import PolePlace, propose_poles
 from ..road.road_map import Junction, RoadMap, polygon_holds
+from ..road.settings import RoadSettings, map_of
 from .motion import Samples, thinning
 from .movements import ways_by_map, ways_by_track
 from .vehicles import Recording, counted
@@ -36,7 +36,7 @@ class SiteLayout:
 
     Attributes
     ----------
-    settings : MappedRoad
+    settings : RoadSettings
         [road]; its origin is the middle of the site, in whole metres of the map's frame.
     road : RoadMap
         In the site frame.
@@ -60,7 +60,7 @@ class SiteLayout:
         What else there is, and what to check, as sentences.
     """
 
-    settings: MappedRoad
+    settings: RoadSettings
     road: RoadMap
     recording: Recording
     junction: Junction | None
@@ -75,7 +75,7 @@ class SiteLayout:
 
 def propose_site(
     recording: Recording,
-    settings: MappedRoad,
+    settings: RoadSettings,
     junction: str | None = None,
     at: tuple[float, float] | None = None,
 ) -> SiteLayout:
@@ -85,7 +85,7 @@ def propose_site(
     ----------
     recording : Recording
         In the map's frame [m].
-    settings : MappedRoad
+    settings : RoadSettings
         Which map, with its origin at 0.
     junction : str, optional
         The junction to take, by the map's name.
@@ -160,7 +160,7 @@ def _thinned(recording: Recording) -> Recording:
     return recording.select(thinning(len(recording)))
 
 
-def _check_together(recording: Recording, road: RoadMap, settings: MappedRoad) -> None:
+def _check_together(recording: Recording, road: RoadMap, settings: RoadSettings) -> None:
     """Refuse traffic that lies beside the map: in another projection, or without its offset."""
     xy = _thinned(recording).centre_m[:, :2]
     if road.on(xy[:: max(1, len(xy) // 2000)]).mean() >= 0.5:

@@ -6,6 +6,7 @@ bumper, say SUMO's developers (sumo-user list, msg01529).
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -17,9 +18,10 @@ import numpy as np
 
 from ..csv_tables import MAX_ROWS, Column, Rows, TableLayout, delimiter_of, fields_of, first_lines, read_rows, short
 from ..errors import InputError
+from ..rigid import Rigid
 from .sumo_types import assumed_sides, is_config, person_type, read_types, start_tags, types_of
 from .tracks import drop_repeats, vehicle_ids, vehicle_numbers
-from .vehicles import CLASSES, Placing, Recording, RepairReport, ground_sample
+from .vehicles import CLASSES, Recording, RepairReport, ground_sample
 
 _LANE = re.compile(".*_([0-9]{1,5})", re.DOTALL)
 _LARGEST_LANE = 2**15 - 2
@@ -92,9 +94,9 @@ def read_sumo(
     class_index = np.array([CLASSES.index(kind.class_name or "car") for kind in types])[rows["type"]]
     heading = heading_of_sumo_angle(rows["angle"])
     forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    placing = Placing(origin_m or (0.0, 0.0), heading_deg or 0.0)
+    T_site_net = Rigid.about_z(math.radians(heading_deg or 0.0), origin_m or (0.0, 0.0)).inverse
     # SUMO records the front centre, of persons too (`MSPModel_Striping`, where they walk by stripes).
-    centre = placing.points(np.column_stack([rows["x"], rows["y"]]) - size[:, :1] / 2 * forward)
+    centre = T_site_net.points(np.column_stack([rows["x"], rows["y"]]) - size[:, :1] / 2 * forward)
     ground = ground_sample(centre, rows["z"])
     return Recording.from_rows(
         frame=frame,
@@ -103,7 +105,7 @@ def read_sumo(
         class_index=class_index,
         centre_m=np.column_stack([centre, size[:, 2] / 2]),
         size_m=size,
-        heading_rad=placing.headings(heading),
+        heading_rad=T_site_net.headings(heading),
         lane=np.array([_lane_number(name) for name in names["lane"]])[rows["lane"]],
         time_step_s=step_s,
         source=str(path),

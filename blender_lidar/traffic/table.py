@@ -27,6 +27,7 @@ tabs and decimal commas, as UTF-8, UTF-16 or Windows-1252.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -36,10 +37,11 @@ import numpy as np
 from ..csv_tables import Column, Rows, TableLayout, first_lines, header_names, nearest_names, quoted, read_whole
 from ..errors import InputError, unknown_name
 from ..files import number, open_bytes, write_columns
+from ..rigid import Rigid
 from .sumo import frames_of
 from .sumo_types import DEFAULT_TYPES, class_in_name
 from .tracks import SLOWEST_M_S, drop_repeats, fitted_velocity, heights, held_heading, vehicle_ids, vehicle_numbers
-from .vehicles import CLASSES, DIMENSIONS, PEDESTRIAN, Placing, Recording, RepairReport, ground_sample
+from .vehicles import CLASSES, DIMENSIONS, PEDESTRIAN, Recording, RepairReport, ground_sample
 
 _LENGTHS = ("length_m", "width_m", "height_m")
 OPTIONAL = ("z_m", "time_s", "lane")
@@ -112,7 +114,7 @@ def read_table(
         If the file or one of its values cannot be used; the text names the line and the column.
     """
     table, path = path, path if isinstance(path, str | Path) else source or "boxes"
-    placing = Placing(origin_m, heading_deg)
+    T_site_file = Rigid.about_z(math.radians(heading_deg), origin_m).inverse
     low, high = _TIME_STEP_LIMITS_S
     if time_step_s is not None and not low <= time_step_s <= high:
         raise InputError(f"time_step_s is {time_step_s}; allowed: {low:g} to {high:g}")
@@ -142,8 +144,8 @@ def read_table(
     kept, duplicates, repeated = drop_repeats(columns["vehicle_id"], columns["frame"], values)
     columns = {name: column[kept] for name, column in columns.items()}
     time_s, step_s, of_time = _times(path, columns, time_step_s)
-    plane = placing.points(np.column_stack([columns["x_m"], columns["y_m"]]))
-    heading, held = _headings(columns, time_s, plane, placing)
+    plane = T_site_file.points(np.column_stack([columns["x_m"], columns["y_m"]]))
+    heading, held = _headings(columns, time_s, plane, T_site_file)
     if held is not None and len(np.unique(columns["frame"])) == 1:
         raise InputError(f"{path}: has no heading_deg, and one frame shows no motion to take it from")
     if held is not None:
@@ -220,11 +222,11 @@ def _size_by_class(columns: dict[str, np.ndarray]) -> np.ndarray | None:
 
 
 def _headings(
-    columns: dict[str, np.ndarray], time_s: np.ndarray, plane: np.ndarray, placing: Placing
+    columns: dict[str, np.ndarray], time_s: np.ndarray, plane: np.ndarray, T_site_file: Rigid
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Headings in the road frame [rad], and where those of motion are held; None where the table has them."""
     given = columns.get("heading_deg", np.full(len(plane), np.nan))
-    heading, missing = placing.headings(np.radians(given)), np.isnan(given)
+    heading, missing = T_site_file.headings(np.radians(given)), np.isnan(given)
     if not missing.any():
         return heading, None
     velocity = fitted_velocity(columns["vehicle_id"], time_s, plane)

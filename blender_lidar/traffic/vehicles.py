@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
@@ -305,43 +304,6 @@ def unknown_frame(frame: int, recording: Recording) -> InputError:
     has = f"the recording has {counted(len(frames), 'frame')} from {frames[0]} to {frames[-1]}"
     nearest = min(frames.tolist(), key=lambda one: abs(one - frame))
     return InputError(f"{recording.source}: no frame {frame}; {has}, {nearest} is the nearest")
-
-
-# --- The road frame, beside a carriageway: where it lies in a recording's own coordinates -----------------
-
-
-@dataclass(frozen=True, slots=True)
-class Placing:
-    """Where the road frame lies in the plane coordinates of a table or a net.
-
-    Attributes
-    ----------
-    origin_m : (float, float)
-        The road frame's origin [m, the file's frame].
-    heading_deg : float
-        Direction of the road's x axis in the file's frame [degrees], counter-clockwise.
-    """
-
-    origin_m: tuple[float, float] = (0.0, 0.0)
-    heading_deg: float = 0.0
-
-    def points(self, xy_m: np.ndarray) -> np.ndarray:
-        """Points of the file's frame, (n, 2) [m], in the road frame."""
-        turn = math.radians(self.heading_deg)
-        x, y = (np.asarray(xy_m, dtype=np.float64) - self.origin_m).T
-        along = x * math.cos(turn) + y * math.sin(turn)
-        across = y * math.cos(turn) - x * math.sin(turn)
-        return np.stack([along, across], axis=1)
-
-    def in_file(self, x_m: float, y_m: float) -> tuple[float, float]:
-        """A place of the road frame in the file's frame [m]."""
-        turn, (x, y) = math.radians(self.heading_deg), self.origin_m
-        cos, sin = math.cos(turn), math.sin(turn)
-        return x + x_m * cos - y_m * sin, y + x_m * sin + y_m * cos
-
-    def headings(self, heading_rad: np.ndarray) -> np.ndarray:
-        """Headings from the file's +x, (n,) [rad], as headings from the road's, within half a turn."""
-        return wrap_angle(heading_rad - math.radians(self.heading_deg))
 
 
 _FLAT_WITHIN_M = 0.5  # of height over all places

@@ -185,15 +185,15 @@ class FrameCase:
 
 def cases_of(scenario: Scenario, frames: int) -> list[FrameCase]:
     """Searched frames of a scene, under the paper's mounting for its sensor."""
-    recording, gate = read_recording(scenario), scenario.sensor.range_gate_m
-    region = Region(scenario.deployment.nominal_xy, gate)
-    height, tilt = MOUNTINGS[scenario.sensor.name]
-    pose = scenario.mounting({"height_m": height, "tilt_x_deg": tilt}).pose
-    seen = (lattice_of(scenario.sensor), pose, gate, scenario.world.detail, scenario.objective.cell_m)
+    recording, gate = read_recording(scenario), scenario.lidar.sensor.range_gate_m
+    region = Region(scenario.lidar.deployment.nominal_xy, gate)
+    height, tilt = MOUNTINGS[scenario.lidar.sensor.name]
+    pose = scenario.lidar.mounting({"height_m": height, "tilt_x_deg": tilt}).pose
+    seen = (lattice_of(scenario.lidar.sensor), pose, gate, scenario.world.detail, scenario.objective.cell_m)
     chosen = plan_frames(recording, region.holds, count=frames).search.tolist()
     every = (recording.at(frame) for frame in chosen)
     frames = [replace(frame, counted=region.holds(frame)) for frame in every]
-    return [FrameCase(frame, *seen, scenario.sensor.imperfections) for frame in frames]
+    return [FrameCase(frame, *seen, scenario.lidar.sensor.imperfections) for frame in frames]
 
 
 def summary_of(cases: Sequence[FrameCase]) -> dict[str, object]:
@@ -368,9 +368,9 @@ def optimisations(scene: str, overrides: dict, casters: Sequence[str]) -> list[E
     """The search of a scene from its first mounting to its last, with each caster: `FEW` evaluations, one process."""
     given = {key: (value, "benchmark") for key, value in FEW.items()}
     scenario = load_scenario(scene, {**overrides, **given, ("model", "caster"): (casters[0], "--caster")})
-    if not scenario.deployment.bounds:
+    if not scenario.lidar.deployment.places[0].bounds:
         raise InputError(f"{scene}: [deployment] fixes every coordinate; a search needs a pair [low, high]")
-    site, space = prepare(scenario), scenario.deployment.spaces[0]
+    site, space = prepare(scenario), scenario.lidar.deployment.spaces[0]
     note = f"{fresh_search(scenario, space).budget:,} evaluations, {len(site.search)} frames, 1 process"
     entries = []
     for caster in casters:
@@ -379,14 +379,14 @@ def optimisations(scene: str, overrides: dict, casters: Sequence[str]) -> list[E
             each.search[:1], each.observation, each.scoring
         ) as evaluator:  # libraries and compiled code load
             evaluator.totals([space.layout(space.lower)])
-        name = f"optimisation, {scenario.sensor.name}, {caster}"
+        name = f"optimisation, {scenario.lidar.sensor.name}, {caster}"
         entries.append(Entry(name, partial(optimise, each), "whole", note=note))
     return entries
 
 
 def optimise(site: Site) -> SearchResult:
     """Search a site's mountings; what follows in a run, hold-out and map, is left out."""
-    space = site.scenario.deployment.spaces[0]
+    space = site.scenario.lidar.deployment.spaces[0]
     search = fresh_search(site.scenario, space)
     with site_evaluator(site, site.search) as evaluator:
 

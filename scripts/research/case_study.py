@@ -116,10 +116,10 @@ def open_case(scene: str, overrides: Overrides, effort: Effort) -> CaseStudy:
     scenario = sites[0].scenario
     if scenario.objective.metric != PE_VGOP.name:
         raise InputError(f"{scene}: [objective] metric is {scenario.objective.metric!r}; allowed: {PE_VGOP.name!r}")
-    if scenario.deployment.spaces[0].variables != AXES:
+    if scenario.lidar.deployment.spaces[0].variables != AXES:
         raise InputError(f"{scene}: [deployment] {' and '.join(AXES)} must be pairs, and they alone: Table II has two")
     (beside,) = layout_at(sites[0], baseline_of(sites[0]))
-    if beside.as_table() != scenario.baseline.as_table():
+    if beside.as_table() != scenario.lidar.baseline.as_table():
         raise InputError(f"{scene}: [baseline] stands elsewhere; allowed: another height and tilt alone")
     if not all(sum(frame.counted.sum() for frame in site.holdout) for site in sites):
         raise InputError(f"{scene}: [traffic] holdout leaves no vehicle to judge by; allowed: a share that leaves some")
@@ -130,12 +130,12 @@ def open_case(scene: str, overrides: Overrides, effort: Effort) -> CaseStudy:
 
 def layout_at(site: Site, at: HeightAndTilt) -> Layout:
     """A LiDAR at a height and a tilt, at the scene's place."""
-    return site.scenario.deployment.spaces[0].layout(at)
+    return site.scenario.lidar.deployment.spaces[0].layout(at)
 
 
 def baseline_of(site: Site) -> HeightAndTilt:
     """Height [m] and tilt [deg] of the scene's baseline."""
-    table = site.scenario.baseline.as_table()
+    table = site.scenario.lidar.baseline.as_table()
     return table["height_m"], table["tilt_x_deg"]
 
 
@@ -163,8 +163,8 @@ class Variant:
 
 def variants(scenario: Scenario) -> list[Variant]:
     """What is varied for one sensor, the scene as it is first."""
-    x_m, y_m = scenario.deployment.nominal_xy
-    sensor, objective, setback_m = scenario.sensor, scenario.objective, scenario.road.setback_m
+    x_m, y_m = scenario.lidar.deployment.nominal_xy
+    sensor, objective, setback_m = scenario.lidar.sensor, scenario.objective, scenario.road.setback_m
     model, radius_m = load_model(sensor.name), REGION_SHARE * sensor.range_gate_m
     found = [Variant(AS_THE_SCENE)]
 

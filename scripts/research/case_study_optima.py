@@ -13,6 +13,7 @@ from blender_lidar.optimise import run
 from blender_lidar.optimise.objective import vehicle_score
 from blender_lidar.run.searches import fresh_search
 from blender_lidar.run.verdict import AXES, ScoreMap, judge, map_scores, near_best_threshold
+from blender_lidar.scene.deployment import SearchSpace
 from blender_lidar.scene.site import Site
 from blender_lidar.scoring.evaluation import site_evaluator
 from blender_lidar.statistics import FEWEST_BLOCKS, block_sums, resampled_weights
@@ -65,11 +66,11 @@ def landscape(
 ) -> Landscape:
     """Score a grid of heights and tilts on the searched frames; `bounds` replace those of the scene."""
     scenario = site.scenario
-    deployment = scenario.deployment if bounds is None else replace(scenario.deployment, bounds=bounds)
-    (space,) = deployment.spaces
+    (place,) = scenario.lidar.deployment.places
+    space = SearchSpace((place if bounds is None else replace(place, bounds=bounds),))
     with site_evaluator(site, site.search) as evaluator:
         found = map_scores(evaluator, space, space.lower, site.plan.search_block, progress, grid)
-        before = evaluator.totals([(scenario.baseline,)])
+        before = evaluator.totals([(scenario.lidar.baseline,)])
         filled = block_sums(evaluator.vehicles, site.plan.search_block) > 0
     baseline = {
         "per_vehicle": float(before.per_vehicle()[0]),
@@ -81,7 +82,7 @@ def landscape(
 
 def searched_optimum(site: Site, progress: Callable[[int], None] = lambda evaluations: None) -> dict:
     """What DE-PSO at the scene's settings, the paper's, finds: mounting, value per vehicle, evaluations."""
-    (space,) = site.scenario.deployment.spaces
+    (space,) = site.scenario.lidar.deployment.spaces
     with site_evaluator(site, site.search) as evaluator:
 
         def objective(candidates: np.ndarray) -> np.ndarray:
@@ -104,7 +105,7 @@ def judged(site: Site, mountings: Mapping[str, HeightAndTilt], seed: int) -> dic
     chosen = {**mountings, "paper": (published.height_m, published.tilt_deg)}
     layouts = {name: layout_at(site, at) for name, at in chosen.items()}
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        return judge(site, {"baseline": (site.scenario.baseline,), **layouts}, evaluator, seed)
+        return judge(site, {"baseline": (site.scenario.lidar.baseline,), **layouts}, evaluator, seed)
 
 
 def near_best(found: Landscape, share: float) -> dict:

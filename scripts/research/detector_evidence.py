@@ -89,8 +89,8 @@ def _site(args, sensor: str, world: Options) -> Site:
 
 def _mounts(site: Site, sensor: str) -> dict[str, Mounting]:
     height, tilt = CHOSEN[sensor]
-    given = site.scenario.mounting({"height_m": height, "tilt_x_deg": tilt})
-    return {"baseline": site.scenario.baseline, "given": given}
+    given = site.scenario.lidar.mounting({"height_m": height, "tilt_x_deg": tilt})
+    return {"baseline": site.scenario.lidar.baseline, "given": given}
 
 
 def _judged(site: Site, mounts: Mapping[str, Mounting], detector: str, advance) -> dict[str, JudgedDetector]:

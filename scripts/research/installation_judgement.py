@@ -63,7 +63,7 @@ def hung(scenario: Scenario, deployment: Mapping[str, float], errors: Sequence[M
     """A mounting as planned, then under each error."""
     planned = {key: deployment[key] for key in MOUNTED}
     off = [{key: value + error.get(key, 0.0) for key, value in planned.items()} for error in errors]
-    return [(scenario.mounting(table),) for table in (planned, *off)]
+    return [(scenario.lidar.mounting(table),) for table in (planned, *off)]
 
 
 class Truth:

@@ -83,7 +83,7 @@ def grid_layouts(site: Site, heights: int, tilts: int) -> list[list[Layout]]:
     for lidar in site.scenario.lidars:
         axes = [np.linspace(*SEARCHED["height_m"], heights), np.linspace(*SEARCHED["tilt_x_deg"], tilts)]
         singles.append([place.mounting(x) for place in lidar.deployment.places for x in itertools.product(*axes)])
-    ordered = len(site.scenario.deployment.places) > 1  # alike: the second of two is on a later pole
+    ordered = len(site.scenario.lidar.deployment.places) > 1  # alike: the second of two is on a later pole
     first = {id(one): number // (heights * tilts) for number, one in enumerate(singles[0])}
     pole = [number // (heights * tilts) for number in range(len(singles[1]))]
     rows = [

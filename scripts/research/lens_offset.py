@@ -39,7 +39,7 @@ def _measure(argv) -> None:
     changes = {("sensor", "name"): SENSOR, ("sensor", "range_gate_m"): GATE_M, ("traffic", "frames"): args.frames}
     scenario = load_scenario("i80", {key: (value, key[1]) for key, value in changes.items()})
     site = prepare(scenario)
-    pose = scenario.mounting({"x_m": 0.0, "y_m": 0.0, "height_m": 4.5, "tilt_x_deg": 7.2}).pose
+    pose = scenario.lidar.mounting({"x_m": 0.0, "y_m": 0.0, "height_m": 4.5, "tilt_x_deg": 7.2}).pose
     model = site.observation.lattice.model
     ways = {
         "on the axis": (beam_lattice(model), 0.0),

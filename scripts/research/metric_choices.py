@@ -51,7 +51,7 @@ def map_of(args, name):
     """The scores of all heights and tilts by one metric."""
     scenario = load_scenario(args.scene, {**overrides_of(args), ("objective", "metric"): (name, "--metrics")})
     site = prepare(scenario)
-    space, baseline = scenario.deployment.spaces[0], scenario.baseline.as_table()
+    space, baseline = scenario.lidar.deployment.spaces[0], scenario.lidar.baseline.as_table()
     others = [baseline[key] or 0.0 for key in space.variables]
     with site_evaluator(site, site.search) as evaluator:
         scores = map_scores(evaluator, space, others, site.plan.search_block)

@@ -61,7 +61,7 @@ def scored(path, sensor, caster, detail, bodies):
     frame = site.counted(max((recording.at(number) for number in recording.frames), key=len))
     height, tilt = _MOUNTINGS[sensor]
     places = [{"x_m": x, "height_m": height, "tilt_x_deg": tilt} for x in _PLACES_M]
-    layouts = [(scenario.mounting(one).pose,) for one in places]
+    layouts = [(scenario.lidar.mounting(one).pose,) for one in places]
     started = time.perf_counter()
     scorer, scores = (
         FrameScorer(frame, site.observation),

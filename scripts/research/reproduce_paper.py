@@ -116,7 +116,7 @@ def reproduce(case: CaseStudy, folder: StudyFolder) -> dict:
         }
     return {
         "scene": case.scene,
-        "traffic": first.scenario.traffic.path,
+        "traffic": first.scenario.recordings[0].path,
         "reading": first.scenario.objective.reading,
         "seed": seed,
         "caster": first.observation.caster,
@@ -156,7 +156,7 @@ def _search(folder, site: Site) -> dict:
 def _about(site: Site) -> dict:
     return {
         "rings": site.model.rings,
-        "range_gate_m": site.scenario.sensor.range_gate_m,
+        "range_gate_m": site.scenario.lidar.sensor.range_gate_m,
         "vehicles": sum(int(frame.counted.sum()) for frame in site.search),
         "judged_vehicles": sum(int(frame.counted.sum()) for frame in site.holdout),
         "baseline_mounting": list(baseline_of(site)),
@@ -190,7 +190,7 @@ def _optimum(found: Landscape, resampled) -> dict:
 
 def _wide(found: Landscape, site: Site) -> dict:
     """The optimum beyond the paper's bounds, and the best tilt at each height."""
-    least, most = site.scenario.deployment.bounds["tilt_x_deg"]
+    least, most = site.scenario.lidar.deployment.places[0].bounds["tilt_x_deg"]
     inside = found.map.per_vehicle[:, (found.map.tilt_deg >= least) & (found.map.tilt_deg <= most)]
     return {
         **_best(found),

@@ -17,7 +17,6 @@ import numpy as np
 
 from blender_lidar.errors import InputError
 from blender_lidar.optimise import Objective
-from blender_lidar.scene.deployment import Deployment
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recording
@@ -90,19 +89,21 @@ def scene_problem(
     frames = recording.frames[instance % INSTANCES :: INSTANCES][:FRAMES]
     settings: dict[tuple[str, str], object] = {("traffic", "frame_ids"): frames.tolist(), ("traffic", "holdout"): 0.0}
     settings["model", "workers"] = 1
-    usual = load_scenario(scene, with_traffic).deployment
+    usual = load_scenario(scene, with_traffic).lidar.deployment
     # As it was judged: in 5-D all three angles, which a scene is refused, and vehicles about the middle of the places.
     bounds = {key: CASES[case][key] for key in COORDINATES if key in CASES[case]}
-    deployment = Deployment({**dict.fromkeys(COORDINATES, 0.0), **usual.fixed}, bounds, road=usual.road)
+    place = replace(usual.places[0], fixed={**dict.fromkeys(COORDINATES, 0.0), **usual.places[0].fixed}, bounds=bounds)
+    deployment = usual.at(place)
     (space,) = deployment.spaces
     settings["region", "centre_m"] = x_m, y_m = deployment.nominal_xy
     settings |= {("baseline", "x_m"): x_m, ("baseline", "y_m"): y_m}
     given = {key: (value, "search study") for key, value in settings.items()}
-    site = prepare(replace(load_scenario(scene, {**with_traffic, **given}), deployment=deployment))
+    scenario = load_scenario(scene, {**with_traffic, **given})
+    site = prepare(scenario.with_lidars(replace(scenario.lidar, deployment=deployment)))
     with site_evaluator(site, site.search) as evaluator:
 
         def objective(candidates: np.ndarray) -> np.ndarray:
             return evaluator.totals([space.layout(x) for x in candidates]).objective.sum(axis=1)
 
-        baseline = float(evaluator.totals([(site.scenario.baseline,)]).objective.sum())
+        baseline = float(evaluator.totals([(site.scenario.lidar.baseline,)]).objective.sum())
         yield Problem(case, np.array(space.lower), np.array(space.upper), objective, None), baseline

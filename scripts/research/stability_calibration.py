@@ -122,7 +122,7 @@ def studied(folder: Path, road: Road, times: int, seed: int, workers: int, mount
     if not (folder / "fcd.xml").exists():
         generate(folder, road, times * SAMPLE_S, seed)
     scenario = load_scenario(scene_of(folder, road, times, workers))
-    layout = (scenario.mounting(mounting),) if mounting else None
+    layout = (scenario.lidar.mounting(mounting),) if mounting else None
     effort = QUICK_STABILITY if times == 1 else KNOWN
     site = prepare(scenario, layout or ())
     study = StudyFolder(folder / "study", study_identity(site, effort, layout), Progress)

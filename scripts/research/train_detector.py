@@ -239,7 +239,7 @@ def _reflectivities(paint: float, glass: float) -> Iterator[None]:
 def _at_crossing(number: int, options: Options) -> Scenario:
     """The scene of one of the poles of the shipped intersection."""
     scenario = load_scenario(SCENES / "crossing.toml", {**crossing_world(), **options})
-    poles = [place.pole.name for place in scenario.deployment.places]
+    poles = [place.pole.name for place in scenario.lidar.deployment.places]
     return at_one_place(scenario, poles[number % len(poles)])
 
 
