@@ -247,3 +247,9 @@ def test_progress_of_a_layout_fits_80_columns(capsys):
     assert max(map(len, lines)) <= 80
     assert any("at height 0.00, tilt_x 1.00" in line for line in lines)
     assert not any(int(done) > int(of) for line in lines for done, of in re.findall(r": (\d+) of (\d+)", line))
+
+
+def test_each_lidar_of_a_layout_speaks_of_the_angles_of_its_own_table():
+    rows = [{"name": name, "leans": leaning, "baseline": {}} for name, leaning in (("a", False), ("b", True))]
+    each = each_lidar({"lidars": rows, "spread": None, "baseline": {}})
+    assert {name: leans(one) for name, one in each.items()} == {"a": False, "b": True}

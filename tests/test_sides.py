@@ -278,3 +278,24 @@ def test_words_of_a_mounting_are_true_on_every_side(deployment, said, sheet, tmp
     words = ("evaluate", plain, "--height", 6, "--tilt-x", 15, *direct, "--json", "--out", tmp_path / "other")
     result = json.loads(done(capsys, *words)[0])
     assert result["deployment"] == json.loads((out / "result.json").read_text(encoding="utf-8"))["deployment"]
+
+
+TWO_WAYS = {"carriageways": 2, "median_m": 4.0}
+
+
+@pytest.mark.parametrize("baseline", [{"y_m": 52.0}, {"facing_deg": 45.0}])
+def test_a_mast_at_the_place_that_a_scene_fixes_faces_the_road_wherever_the_baseline_looks(baseline, tmp_path):
+    tables = {"road": TWO_WAYS, "deployment": {"y_m": -1.0}, "baseline": baseline}
+    lidar = load_scenario(write_scene(tmp_path, tables)).lidar
+    mounting = lidar.mounting({"height_m": 3.0})
+    assert (mounting.xy[1], mounting.as_table()["facing_deg"]) == (-1.0, 90.0)
+    assert lidar.mounting({"y_m": 80.0}).as_table()["facing_deg"] == 270.0
+
+
+def test_a_mounting_on_the_one_pole_of_a_scene_faces_as_the_pole_does(tmp_path):
+    (tmp_path / "poles.csv").write_text("name,x_m,y_m,facing_deg\na,0,-2,30\n", encoding="utf-8")
+    circle = {"centre_m": [0.0, 5.0], "radius_m": 20.0}
+    tables = {"road": TWO_WAYS, "deployment": {"poles": "poles.csv"}, "region": circle}
+    lidar = load_scenario(write_scene(tmp_path, tables)).lidar
+    assert lidar.mounting({"height_m": 3.0}).as_table()["facing_deg"] == pytest.approx(30.0)
+    assert lidar.mounting({"x_m": 4.0, "y_m": -2.0}).as_table()["facing_deg"] == 90.0

@@ -191,10 +191,10 @@ def _fill_from_file(operator, context, path, *, clip=False):
     scenarios.fill_scene(scene, tables, folder, scenario)
     properties.hang_again(scene)
     there, taken = {one.name: one for one in lidars(scene) if one.library is None}, set()
-    for one in there.values() if scenario.lidars[0].is_named else ():
+    for one in there.values() if scenario.has_names else ():
         one.blender_lidar.in_layout = False
     for number, one in enumerate(scenario.lidars):
-        found = there.get(one.name) if one.is_named else scenarios.active_lidar(scene)
+        found = there.get(one.name) if scenario.has_names else scenarios.active_lidar(scene)
         if found is None or found.library is not None:  # a new one as the file says, each on a pole of its own
             places = one.deployment.places
             place = next((of for of in places if of.xy not in taken), places[0])

@@ -351,7 +351,7 @@ def fill_lidar(lidar, tables: Mapping[str, Mapping], folder: str, scenario: Scen
     """Set a LiDAR's fields to what one of a scene has and searches, and keep [sensor] as the `tables` of it say."""
     group, of = lidar.blender_lidar, scenario.lidars[number]
     sensor, deployment = asdict(of.sensor), of.deployment.as_table()
-    group.in_layout, group.number = of.is_named, number
+    group.in_layout, group.number = scenario.has_names, number
     if sensor["name"] in model_names():
         group.name_ = sensor["name"]
     else:

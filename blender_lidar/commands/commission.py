@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     if args.of_run is not None:
         scenario = load_scenario(RunFolder(args.of_run).file(SCENE))
         layout, number = layout_of_run(args.of_run, scenario), _number(args.lidar, scenario)
-        if not scenario.road_map.facing_of:
+        if not scenario.road_map.endless:
             raise InputError(f"--run: {args.of_run}: is of a road on a map; allowed: a straight road's")
         site = prepare(scenario, layout)
         given = given or site.models[number]

@@ -102,10 +102,8 @@ def run_optimise(args: argparse.Namespace) -> int:
         done = ended_search(site, folder, lambda text: say(args, f"{text}.\n")) if args.resume else None
         try:
             if done is None:
-                variables, metric = (
-                    scenario.lidars[0].deployment.spaces[0].variables,
-                    metric_named(scenario.objective.metric),
-                )
+                variables = scenario.lidars[0].deployment.spaces[0].variables
+                metric = metric_named(scenario.objective.metric)
                 lines = 1 if scenario.is_layout else 10  # a layout has many searches
                 with stops_recognised(), RunProgress(variables, metric, lines) as listener:
                     optimise_site(site, folder, listener, resume=args.resume)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from ..errors import InputError, MissingExtraError, unknown_name
+from ..names import THE_LIDAR
 from ..plugins import IN_A_FILE
 from ..scene.deployment import MOUNTING_OR_LEAN, Place, fixed_beside
 from ..scene.lidars import LidarSpec
@@ -247,7 +248,7 @@ def layout_of_run(folder: str, scenario: Scenario) -> Layout:
     """The mountings of a run of the same LiDARs, by their names."""
     from ..run.folder import RunFolder
 
-    rows = {row["name"]: row["deployment"] for row in RunFolder(folder).result["lidars"]}
+    rows = {row["name"] or THE_LIDAR: row["deployment"] for row in RunFolder(folder).result["lidars"]}
     if set(rows) != {lidar.name for lidar in scenario.lidars}:
         there = ", ".join(rows)
         raise InputError(f"--run: {folder}: has other LiDARs ({there}) than the scene; allowed: a run of the same")

@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     if scenario.is_layout:
         raise InputError(f"{scenario.source}: [[lidar]]: are {len(scenario.lidars)}; a table is of one: [deployment]")
     scenario = at_one_place(scenario)
-    if not scenario.road_map.facing_of:
+    if not scenario.road_map.endless:
         raise InputError(f"{scenario.source}: [road] is a map; a table of setbacks is of a straight road")
     folder = Path(args.out or default_folder(scenario, "table"))
     if folder.exists() and any(folder.iterdir()):

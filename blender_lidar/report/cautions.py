@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 
 from ..metrics.catalogue import DETECTABLE, metric_named
+from ..names import THE_LIDAR
 from ..run.what_if import ON_A_BOUND, OTHER_HEIGHTS
 from ..scene.mounting import COORDINATE_NAMES, LEANS
 from ..statistics import FEW_VEHICLES
@@ -62,13 +63,8 @@ def _search_notes(result):
         slack = ON_A_BOUND * (high - low)
         upright = key == "lean_deg" and low == 0.0 and place < high - slack  # beyond which nothing lies
         if not low + slack < place < high - slack and not upright:
-            whose = (
-                "its pole"
-                if key == "height_m" and result.get("pole")
-                else "its [[lidar]]"
-                if len(result["lidars"]) > 1
-                else "[deployment]"
-            )
+            of_pole = key == "height_m" and result.get("pole")
+            whose = "its pole" if of_pole else _own_table(result)
             beyond = next_metre_text(result) if key == "height_m" and place > low + slack else ""
             where = "on" if place in bounds else f"within {slack:.2g} {unit} of"
             beyond = beyond or "a value beyond it may be better"
@@ -212,6 +208,11 @@ def _undecided_by_threshold(result):
         f"{every} vehicle is detectable under either mounting on {on}, so the detectable share does not "
         f"distinguish them: [objective] threshold is {threshold:g}; try a {change} one"
     )
+
+
+def _own_table(result):
+    """The table of the scene that says where the LiDAR may hang, in a scene's usual form."""
+    return "[deployment]" if [row["name"] for row in result["lidars"]] == [THE_LIDAR] else "its [[lidar]]"
 
 
 def _map_notes(result):

@@ -95,7 +95,8 @@ def run_text(result: Mapping, *, held_out: bool = False) -> str:
 
 def leans(result: Mapping) -> bool:
     """Whether a run speaks of a lean and its direction, as its scene does, and not of tilts and yaw."""
-    return (result.get("lidars") or [result])[0].get("leans", False)
+    rows = result.get("lidars") or [{}]
+    return result.get("leans", rows[0].get("leans", False))
 
 
 def mounting_text(mount: Mapping[str, float], *, leans: bool = False) -> str:

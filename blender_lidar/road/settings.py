@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..errors import InputError
 from ..names import SIDES
 from ..toml_table import setting
 
@@ -166,6 +167,8 @@ def map_of(road: RoadSettings) -> RoadMap:
     MissingFileError, InputError, MissingExtraError
         When the file of the map cannot be read.
     """
+    if road.driven:
+        raise InputError("[road] driven: a driven area is made from the traffic; allowed without it: net or opendrive")
     status = Path(road.path).stat() if road.path and Path(road.path).exists() else None
     return _read(road, status and (status.st_size, status.st_mtime_ns))
 

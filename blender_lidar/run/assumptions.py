@@ -42,10 +42,8 @@ def assumptions(site: Site, table: Mapping[str, np.ndarray]) -> list[str]:
     grade, found = site.scenario.road.grade_percent, [*_heights(site.recording), *site.recording.report.assumed]
     found += installation_assumed(site.scenario)
     for model in {one.name: one for one in site.models}.values():
-        sensor, file = (
-            model.assumptions,
-            f"The file of {model.name}" if site.scenario.is_layout else "The sensor's file",
-        )
+        sensor = model.assumptions
+        file = f"The file of {model.name}" if site.scenario.is_layout else "The sensor's file"
         found += [f"{file} leaves open, and is taken to mean: {'; '.join(sensor.values())}"] if sensor else []
         found += [f"Of {file[0].lower()}{file[1:]}: {'; '.join(model.notes)}"] if model.notes else []
     if grade:

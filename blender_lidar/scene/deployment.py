@@ -431,8 +431,8 @@ class Deployment:
         return next((pole for pole in self.poles if (pole.x_m, pole.y_m) == tuple(xy)), None)
 
     def at(self, place: Place) -> Deployment:
-        """The same with one of its places as the only one."""
-        return replace(self, places=(place,))
+        """The same with one of its places as the only one, which is no candidate any more."""
+        return replace(self, places=(replace(place, pole=None),), poles_file=None, shared={})
 
     def as_table(self) -> dict[str, object]:
         """The keys of [deployment], or of a [[lidar]], that it is read from, spelt out."""

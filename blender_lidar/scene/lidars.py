@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ..errors import InputError, MissingFileError
-from ..names import THE_LIDAR
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, setting, settings_of
 from .deployment import DEPLOYMENT, MOUNTING_OR_LEAN, STAND, Deployment, fixed_beside
@@ -46,11 +45,6 @@ class LidarSpec:
     table: str = field(default="lidar 1", compare=False)
 
     @property
-    def is_named(self) -> bool:
-        """Whether its scene gives it a name: it is an entry of [[lidar]], if perhaps the only one."""
-        return self.name != THE_LIDAR
-
-    @property
     def is_held(self) -> bool:
         """Whether it hangs already: it has one place and nothing to be searched."""
         return self.deployment.is_held
@@ -71,11 +65,13 @@ class LidarSpec:
         found = fixed_beside(alike, given) | given
         if "facing_deg" not in given:
             xy = [found.get(key, own) for key, own in zip(("x_m", "y_m"), self.baseline.xy, strict=True)]
-            moved = not given.keys().isdisjoint(("x_m", "y_m"))
-            if facing.angle_deg is None and moved:
+            moved, placed = (not of.keys().isdisjoint(("x_m", "y_m")) for of in (given, found))
+            if all(one.facing == places[0].facing for one in places) and not (moved and facing.angle_deg is None):
+                facing = places[0].facing
+            elif facing.angle_deg is not None:  # poles face each its own way
+                facing = None
+            if facing is not None and (placed or facing.angle_deg is not None):
                 found["facing_deg"] = facing.at(xy, self.road)
-            elif facing.angle_deg is not None and all(one.facing == places[0].facing for one in places):
-                found["facing_deg"] = places[0].facing.angle_deg
         return mounting_from(found, self.road, self.baseline, where)
 
     def as_table(self) -> dict[str, object]:

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from ..errors import MissingFileError, unknown_name
+from ..names import THE_LIDAR
 from ..road.road_map import RoadMap
 from ..road.settings import RoadSettings
 from ..toml_table import TomlTable, read_toml
@@ -94,6 +95,11 @@ class Scenario:
     def is_layout(self) -> bool:
         """Whether several LiDARs hang, told apart by their names."""
         return len(self.lidars) > 1
+
+    @property
+    def has_names(self) -> bool:
+        """Whether its LiDARs have names of their own: several, or one that is not called as a scene's one is."""
+        return self.is_layout or self.lidars[0].name != THE_LIDAR
 
     @property
     def names(self) -> list[str]:

@@ -308,7 +308,9 @@ def _entry_deployment(entry: TomlTable, pole: str | None, roadside: Roadside) ->
     """Where a [[lidar]] may hang: what [deployment] would say, on the one pole that it names."""
     stand = {key: value for key, value in entry.values.items() if key not in LIDAR}
     deployment = deployment_from(TomlTable(stand, entry.name, entry.origins, entry.folder, entry.called), roadside)
-    return deployment if pole is None else deployment.at(deployment.on_pole(pole, entry.where("pole")))
+    if pole is None:
+        return deployment
+    return replace(deployment, places=(deployment.on_pole(pole, entry.where("pole")),))
 
 
 def _with_installers(of_file: Sequence[TomlTable], deployments: Sequence[Deployment]) -> list[Deployment]:
