@@ -138,7 +138,7 @@ def test_a_field_that_is_changed_replaces_the_files_setting_and_nothing_else(tmp
     lidar.blender_lidar.y_m, lidar.blender_lidar.height_m_high = -0.5, 5.0
     found = scenario().as_tables()
     assert found["traffic"] == expected["traffic"] | {"frames": 7, "origin_m": (565432.5, 5812345.625)}
-    assert found["deployment"] == expected["deployment"] | {"y_m": -0.5, "height_m": (2.0, 5.0)}
+    assert found["lidar"][0] == expected["lidar"][0] | {"y_m": -0.5, "height_m": (2.0, 5.0)}
     assert found["region"] == expected["region"]
     group.traffic.origin_m = "east"
     with pytest.raises(properties.InputError, match="LiDAR panel: Traffic, Origin: is 'east'; allowed: a list of 2"):
@@ -158,7 +158,7 @@ def test_another_place_model_or_metric_leaves_open_what_the_file_left_open(tmp_p
     path = write_scene(tmp_path, REGION | {"sensor": {"range_gate_m": None, "range_noise_m": "datasheet"}})
     lidar, scene = loaded(path), bpy.context.scene
     before = scenario()
-    lidar.blender_lidar.name_, scene.blender_lidar.metric = "VLP-16", "points"
+    lidar.blender_lidar.name_, scene.blender_lidar.metric = "VLP-16", "detectable"
     for key in ("height_m", "tilt_x_deg", "tilt_y_deg", "x_m"):
         setattr(lidar.blender_lidar, f"{key}_on", True)
     given = {("sensor", "name"): ("VLP-16", "--sensor"), ("objective", "metric"): ("detectable", "--metric")}

@@ -21,7 +21,7 @@ from tests.test_road_map import arc
 
 pytestmark = pytest.mark.versions
 
-FLAT = RoadSettings().surface
+FLAT = map_of(RoadSettings()).surface
 HALF_M, WIDTH_M, CYCLE_M, WALK_M, ARM_M = 12.0, 3.25, 1.8, 2.5, 150.0
 SIDE = {"vehicles": (0.5 * WIDTH_M, 1.5 * WIDTH_M), "bicycles": (7.4,), "pedestrians": (9.55,)}  # from the middle line
 LANE_M = {"vehicles": WIDTH_M, "bicycles": CYCLE_M, "pedestrians": WALK_M}

@@ -21,7 +21,7 @@ from blender_lidar import __version__
 from blender_lidar.commands.parsers import add_verbs
 from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.scene.lidars import LIDAR
-from blender_lidar.scene.scenario import load_scenario
+from blender_lidar.scene.scenario import load_scenario, numbered_tables
 from blender_lidar.scene.settings import DECLARED
 from blender_lidar.sensors.model import model_names
 from blender_lidar.toml_table import limits_text
@@ -83,6 +83,7 @@ def test_the_paper_scene_holds_the_papers_settings():
 
 def test_the_reference_explains_every_key_of_a_scene():
     tables = load_scenario(ROOT / "scenes" / "paper.toml").as_tables()
+    tables = numbered_tables(tables)
     reference = (ROOT / "docs" / "reference" / "scene_file.md").read_text(encoding="utf-8")
     unexplained = [f"[{table}] {key}" for table, keys in tables.items() for key in keys if key not in reference]
     assert unexplained == []

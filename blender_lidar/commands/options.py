@@ -16,12 +16,12 @@ from ..errors import InputError, MissingExtraError, unknown_name
 from ..names import THE_LIDAR
 from ..plugins import IN_A_FILE
 from ..scene.deployment import MOUNTING_OR_LEAN, Place, fixed_beside
-from ..scene.lidars import LidarSpec
 from ..scene.mounting import Layout, Mounting
 from ..scene.settings import DECLARED, INSTALLER
 from ..toml_table import Setting, checked, limits_text, settings_of
 
 if TYPE_CHECKING:
+    from ..scene.lidars import LidarSpec
     from ..scene.scenario import Scenario
 
 _MOST_FRAMES = 1_000_000
