@@ -369,7 +369,7 @@ def _fill_from(scene):
     with properties.silently():  # its LiDARs hang beside that road already
         scenarios.fill_scene(scene, *stored)
         properties.hang_as_they_are(scene)
-        traffic = stored[-1].traffic
+        traffic = stored[-1].recordings[0]
         told = json.loads(scene[SETTINGS])
         group.known_frame, group.starts_s = told["frame"], told["starts_s"]
         group.loaded = Path(traffic.path).is_file()
