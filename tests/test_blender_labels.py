@@ -11,6 +11,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from blender_lidar.addon.preview import VisibleObjects
 from blender_lidar.casting.protocol import StandingScenery
 from blender_lidar.clouds.files import LABELS, read_cloud, write_cloud
 from blender_lidar.sensors.beams import beam_lattice
@@ -18,7 +19,6 @@ from blender_lidar.sensors.imperfections import Imperfections
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.blender.objects import new_mesh, nodes_of, plain
-from blender_lidar.world.blender.preview import VisibleObjects
 from blender_lidar.world.blender.scene import empty_scene
 from blender_lidar.world.blender.site import LABELS_BY, Labels, open_scenery, read_site, visible_triangles
 from blender_lidar.world.meshes import (

@@ -7,13 +7,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from blender_lidar.addon.preview import VisibleObjects
 from blender_lidar.casting.protocol import StandingScenery
 from blender_lidar.errors import InputError
 from blender_lidar.sensors.beams import beam_lattice
 from blender_lidar.sensors.model import load_model
 from blender_lidar.sensors.pose import Pose
 from blender_lidar.world.blender.objects import KEY, PART, glass, new_mesh
-from blender_lidar.world.blender.preview import VisibleObjects
 from blender_lidar.world.blender.scene import empty_scene
 from blender_lidar.world.blender.site import open_scenery
 from blender_lidar.world.blender.traffic import show_still

@@ -25,9 +25,9 @@ from ..scene.scenario import Scenario
 from ..traffic.boxes import Boxes
 from ..world.blender.objects import check_local, frame_of
 from ..world.blender.points import STYLES, cloud_of, colours_by, colours_of, set_look, set_style, show_cloud
-from ..world.blender.preview import VisibleObjects
 from . import properties, scenarios, session
 from .preferences import preference
+from .preview import VisibleObjects
 
 classes = ()
 _OWN_POINTS = (4, 5)  # from there on a shader for points, as not every GPU interface knows their size otherwise

@@ -1,13 +1,13 @@
-"""Instanced casting, a hierarchy of two levels: one tree for each mesh of the user's, whatever the number of vehicles.
+"""Instanced casting, a hierarchy of two levels: one tree for each mesh, whatever the number of its instances.
 
-Such a mesh may have 100,000 triangles and a frame 150 vehicles, too many to be merged. Rays are taken into a vehicle's
-unit box instead, where its mesh lies as it was fitted, and what they meet there is taken back.
+A mesh may have 100,000 triangles, and a frame 150 vehicles that have it, or a file a forest of trees: too many to be
+merged. Rays are taken to a mesh's own space instead, once they enter the box about an instance of it.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from itertools import pairwise
 
@@ -16,12 +16,149 @@ import numpy as np
 from ..traffic.boxes import Boxes
 from ..traffic.vehicles import FLEET_KINDS, fleet_kind
 from ..world.meshes import Shape
-from .protocol import FARTHEST, MISS, Caster, Returns, origins_of
+from .protocol import FARTHEST, MISS, Caster, Returns
 
+_TURN = 2.0 * np.pi
+_CHUNK, _PAIRS = 512, 0.5  # most instances looked at in one go, and most pairs of one and a ray by the number of rays
+_BANDS = 32  # of elevation, with as many rays each
 _HALF = 0.5 + 1e-9  # of the unit box, and what rounding may take off it
-_AHEAD = 1.0  # rays start so far before the box, in its units: near enough for float32, and at none of its surfaces
-_READY = np.full(3, _HALF + _AHEAD)
-_AT_A_TIME = 1 << 20  # pairs of a ray and a box
+_READY = np.full(3, _HALF + 2.0)  # where rays may start
+
+Cast = Callable[[int, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
+"""Casts in a mesh's space: its row, starts and directions (3, k), reaches (k,); rows that hit, their faces, how far."""
+
+
+class Instances:
+    """Instances of meshes, each under an affine map.
+
+    Parameters
+    ----------
+    mesh : ndarray of int, (k,)
+        Which mesh each is of.
+    turn, move : ndarray, (k, 3, 3) and (k, 3)
+        A point p of the mesh lies at ``p @ turn + move``.
+    box : ndarray, (m, 2, 3)
+        Lowest and highest corner of each mesh, wider than it by what rounding takes off.
+    """
+
+    def __init__(self, mesh: np.ndarray, turn: np.ndarray, move: np.ndarray, box: np.ndarray) -> None:
+        self.mesh, self._move, self._box = mesh, move, box
+        cofactor = np.cross(turn[:, (1, 2, 0)], turn[:, (2, 0, 1)]).swapaxes(1, 2)
+        self._back = cofactor / np.einsum("ni,ni->n", turn[:, 0], cofactor[:, :, 0])[:, None, None]  # the inverse
+        half = 0.5 * (box[:, 1] - box[:, 0])[:, None] * ((1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1))
+        self._ahead = 2.0 * half[:, 0].max(axis=1, initial=0.0)  # rays start so far before a box, at no surface in it
+        self._across = half[mesh] @ turn  # from the centre to corners, no two of them opposite
+        self._centre = np.einsum("ni,nij->nj", box.mean(axis=1)[mesh], turn) + move
+        self._radius = np.sqrt(np.square(self._across).sum(axis=2).max(axis=1, initial=0.0))
+
+    def normals(self, instance: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """Unit normals (n, 3) of faces of instances, from those in the space of the mesh, of any length."""
+        square = np.einsum("nj,nij->ni", normal, self._back[instance])
+        return square / np.sqrt(np.square(square).sum(axis=1))[:, None]
+
+    def meet(
+        self, origin: np.ndarray, directions: np.ndarray, nearest: np.ndarray, cast: Cast
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What rays from an `origin` (3,) along unit `directions` (n, 3) meet nearer than `nearest` (n,) [m].
+
+        Instances are met in chunks from near to far, without rays that have met something.
+
+        Returns
+        -------
+        face, instance : ndarray of int64, (n,)
+            `MISS` where there is none; elsewhere `nearest` has become how far off it is.
+        """
+        face, instance = np.full(len(directions), MISS), np.zeros(len(directions), np.int64)
+        middle = self._centre - origin
+        gap = np.sqrt(np.square(middle).sum(axis=1)) - self._radius
+        near = np.flatnonzero(gap <= nearest.max(initial=0.0))
+        near = near[np.argsort(gap[near])]
+        rays, first = _ByDirection(directions) if len(near) else None, 0
+        while first < len(near) and rays.keep(nearest > gap[near[first]]):
+            some = near[first : first + _CHUNK]
+            which, ray, done = rays.towards(middle[some], self._across[some])
+            self._cast(origin, directions, some, which, ray, (nearest, face, instance), cast)
+            first += done
+        return face, instance
+
+    def _cast(self, origin, directions, some, which, ray, found, cast) -> None:
+        """Cast pairs of `some[which]` and `ray`, where the ray enters the box before what it has met, and keep it."""
+        nearest, face, instance = found
+        back = np.ascontiguousarray(self._back[some].transpose(1, 2, 0))
+        box = self._box[self.mesh[some]].transpose(1, 2, 0)
+        starts = np.einsum("in,ijn->jn", (origin - self._move[some]).T, back)
+        along = sum(directions.T[axis, ray] * np.take(back[axis], which, axis=1) for axis in range(3))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            low, high = (np.take(wall - starts, which, axis=1) / along for wall in box)
+        enter, leave = np.fmin(low, high).max(axis=0), np.fmax(low, high).min(axis=0)
+        left = np.flatnonzero((leave >= np.maximum(enter, 0.0)) & (enter < nearest[ray]))
+        far = np.maximum(enter[left], 0.0)
+        left = left[np.argsort(ray[left] + far / (1.0 + far))]  # by ray, from near to far
+        later = np.diff(ray[left], prepend=-1) == 0  # most rays that meet anything meet the first that they enter
+        of = self.mesh[some[which[left]]] + len(self._box) * later
+        for group in np.unique(of).tolist():
+            one, mesh = left[of == group], group % len(self._box)
+            one = one[enter[one] < nearest[ray[one]]]
+            stretch = np.sqrt(np.square(along[:, one]).sum(axis=0))  # lengths there over lengths in the scene
+            before = np.maximum(enter[one] - self._ahead[mesh] / stretch, 0.0)
+            start = starts[:, which[one]] + before * along[:, one]
+            hit, number, distance = cast(mesh, start, along[:, one] / stretch, (nearest[ray[one]] - before) * stretch)
+            distance = before[hit] + distance / stretch[hit]
+            order = np.argsort(-distance)  # the nearest of a ray is written last
+            order = order[distance[order] < nearest[ray[one[hit[order]]]]]
+            at = one[hit[order]]
+            nearest[ray[at]], face[ray[at]], instance[ray[at]] = distance[order], number[order], some[which[at]]
+
+
+class _ByDirection:
+    """Rays from an origin, sorted by elevation and azimuth: those towards a box are found without looking at all."""
+
+    def __init__(self, directions):
+        self._all = len(directions)
+        self._edges = np.quantile(directions[::8, 2], np.linspace(0.0, 1.0, _BANDS + 1)[1:-1])
+        band = np.searchsorted(self._edges, directions[:, 2], side="right")
+        key = band * (2.0 * _TURN) + np.arctan2(directions[:, 1], directions[:, 0])
+        self._ray = np.argsort(key)
+        self._key = key[self._ray]
+
+    def keep(self, wanted):
+        """Go on with those for which `wanted`, (n,) by ray, is true; whether there are any."""
+        kept = wanted[self._ray]
+        self._ray, self._key = self._ray[kept], self._key[kept]
+        return len(self._ray) > 0
+
+    def towards(self, middle, across):
+        """Pairs (box, ray) of boxes with rays that may pierce them, and of how many boxes, as pairs may be too many.
+
+        Each has its `middle` (k, 3) from the origin, and `across` (k, 4, 3) from there to corners, no two opposite.
+        """
+        x, y, z = (middle[:, None] + np.concatenate([across, -across], axis=1)).transpose(2, 0, 1)
+        around, level = np.arctan2(middle[:, 1], middle[:, 0]), np.hypot(middle[:, 0], middle[:, 1])
+        aside = (np.arctan2(y, x) - around[:, None] + np.pi) % _TURN - np.pi
+        first, last = aside.min(axis=1), aside.max(axis=1)
+        about = last - first > np.pi  # the origin is within, seen from above
+        first, last = np.where(about, -np.pi, first), np.where(about, np.pi, last)
+        nearest = np.maximum(level - np.hypot(across[..., 0], across[..., 1]).max(axis=1), 0.0)
+        ends, farthest = np.stack([z.min(axis=1), z.max(axis=1)]), np.hypot(x, y).max(axis=1)
+        beside = np.where((ends < 0.0) == [[True], [False]], nearest, farthest)  # where they are lowest and highest
+        low, high = np.searchsorted(self._edges, ends / np.maximum(np.hypot(ends, beside), 1e-9), side="right")
+        bands, start = high - low + 1, (around + first + np.pi) % _TURN - np.pi
+        box = np.repeat(np.arange(len(middle)), bands)
+        whole = _ranges(low, bands) * (2.0 * _TURN)  # where each band begins
+        start, end = whole + start[box], whole + (start + last - first)[box]
+        over = np.flatnonzero(end > whole + np.pi)  # reach beyond azimuth pi
+        start = np.searchsorted(self._key, np.concatenate([start, whole[over] - np.pi]))
+        end = np.searchsorted(self._key, np.concatenate([end, end[over] - _TURN]))
+        box, count = np.concatenate([box, box[over]]), end - start
+        most = np.cumsum(np.bincount(box, count, len(middle)))
+        done = max(1, int(np.searchsorted(most, _PAIRS * self._all, side="right")))
+        count[box >= done] = 0
+        return np.repeat(box, count), self._ray[_ranges(start, count)], done
+
+
+def _ranges(start, count):
+    """Whole numbers from each start on, as many as its count says, one after the other."""
+    return np.arange(count.sum()) + np.repeat(start - np.cumsum(count) + count, count)
 
 
 class OwnBodies:
@@ -84,15 +221,16 @@ class InstancedTree:
     """
 
     def __init__(self, base: Caster, count: int, vehicles: Boxes, bodies: OwnBodies) -> None:
-        self._base, self._count, self._mesh = base, count, bodies.rows(vehicles)
+        self._base, self._count = base, count
         self._trees = [bodies.tree(kind, base.name) for kind in bodies.shapes]
         sizes = np.array([len(shape.faces) for shape in bodies.shapes.values()])
         self._faces_before = np.cumsum(sizes) - sizes  # of each mesh
-        mine = sizes[self._mesh]
-        self._first = count + np.cumsum(mine) - mine  # triangle of each vehicle
-        self._centre, self._size = vehicles.centre_m, vehicles.size_m
-        self._turn = np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad)
-        self._radius = _HALF * np.linalg.norm(vehicles.size_m, axis=1)
+        mesh = bodies.rows(vehicles)
+        self._first = count + np.cumsum(sizes[mesh]) - sizes[mesh]  # triangle of each vehicle
+        cos, sin, zero = np.cos(vehicles.heading_rad), np.sin(vehicles.heading_rad), np.zeros(len(mesh))
+        turn = np.array([[cos, sin, zero], [-sin, cos, zero], [zero, zero, zero + 1.0]]).transpose(2, 0, 1)
+        box = np.tile([[[-_HALF] * 3, [_HALF] * 3]], (len(sizes), 1, 1))
+        self._instances = Instances(mesh, vehicles.size_m[:, :, None] * turn, vehicles.centre_m, box)
 
     def solid(self, triangle: np.ndarray) -> np.ndarray:
         """For each triangle its row in the base, or beyond them that of its vehicle: the k are counted on."""
@@ -101,7 +239,7 @@ class InstancedTree:
     def face(self, triangle: np.ndarray) -> np.ndarray:
         """For each triangle its row in the base, or beyond them that in the meshes, each of which is there once."""
         item = self._item(triangle)
-        in_meshes = self._count + self._faces_before[self._mesh[item]] + triangle - self._first[item]
+        in_meshes = self._count + self._faces_before[self._instances.mesh[item]] + triangle - self._first[item]
         return np.where(triangle < self._count, triangle, in_meshes)
 
     def _item(self, triangle):
@@ -114,70 +252,26 @@ class InstancedTree:
         ours = triangle < self._count
         normal[ours] = self._base.normals(triangle[ours])
         for mesh, tree in enumerate(self._trees):
-            own = np.flatnonzero(~ours & (self._mesh[item] == mesh))
-            of = item[own]
-            square = tree.normals(triangle[own] - self._first[of]) / self._size[of]
-            cos, sin = (part[of] for part in self._turn)
-            x, y, z = (square / np.linalg.norm(square, axis=1, keepdims=True)).T
-            normal[own] = np.stack([cos * x - sin * y, sin * x + cos * y, z], axis=1)
+            own = np.flatnonzero(~ours & (self._instances.mesh[item] == mesh))
+            normal[own] = self._instances.normals(item[own], tree.normals(triangle[own] - self._first[item[own]]))
         return normal
 
     def meet(self, origins: np.ndarray, directions: np.ndarray, max_range: float = np.inf) -> Returns:
-        """As `Caster.meet`: each ray looks into the boxes that it enters, the nearest first, until one is farther."""
+        """As `Caster.meet`."""
         found = self._base.meet(origins, directions, max_range)
-        nearest, triangle = np.full(len(directions), min(max_range, FARTHEST)), np.full(len(directions), MISS)
+        farthest = np.nextafter(min(max_range, FARTHEST), np.inf)  # itself included
+        nearest, triangle = np.full(len(directions), farthest), np.full(len(directions), MISS)
         nearest[found.ray], triangle[found.ray] = found.distance, found.triangle
-        ray, item, enters, local = self._entered(origins, directions, nearest)
-        order = np.lexsort((enters, ray))
-        rank = np.arange(len(order)) - np.searchsorted(ray[order], ray[order])  # of each box among those of its ray
-        for turn in range(rank.max(initial=-1) + 1):
-            now = order[rank == turn]
-            now = now[enters[now] <= nearest[ray[now]]]
-            for mesh in np.unique(self._mesh[item[now]]).tolist():
-                some = now[self._mesh[item[now]] == mesh]
-                start, along = (part[some] for part in local)
-                speed = np.linalg.norm(along, axis=1)  # box's units per metre
-                from_m = np.maximum(enters[some] - _AHEAD / speed, 0.0)
-                met = self._trees[mesh].meet(start + from_m[:, None] * along, along / speed[:, None])
-                some, distance = some[met.ray], from_m[met.ray] + met.distance / speed[met.ray]
-                of = ray[some]
-                first = (distance < nearest[of]) | ((triangle[of] == MISS) & (distance == nearest[of]))
-                nearest[of[first]] = distance[first]
-                triangle[of[first]] = self._first[item[some[first]]] + met.triangle[first]
-        ray = np.flatnonzero(triangle != MISS)
-        return Returns(ray, triangle[ray], nearest[ray])
-
-    def _entered(self, origins, directions, nearest):
-        """Pairs of a ray and a box that it enters before `nearest`: both, how far off [m], start and way in its units.
-
-        The way is not of unit length: along it distances stay metres.
-        """
-        ray, item = self._near_pairs(origins, directions, nearest)
-        cos, sin = (part[item] for part in self._turn)
-        local = []
-        for x, y, z in ((origins_of(origins, ray) - self._centre[item]).T, directions[ray].T):
-            local.append(np.stack([cos * x + sin * y, cos * y - sin * x, z], axis=1) / self._size[item])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            one, other = (-_HALF - local[0]) / local[1], (_HALF - local[0]) / local[1]
-        enters = np.fmin(one, other).max(axis=1)
-        into = (np.fmax(one, other).min(axis=1) >= np.maximum(enters, 0.0)) & (enters <= nearest[ray])
-        return ray[into], item[into], enters[into], [part[into] for part in local]
-
-    def _near_pairs(self, origins, directions, nearest):
-        """Pairs of a ray and a vehicle whose bounding sphere it pierces."""
-        rays, items = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
         shared = origins.ndim == 1
         ends = [] if shared else (np.flatnonzero((origins[1:] != origins[:-1]).any(axis=1)) + 1).tolist()
         for first, last in pairwise([0, *ends, len(directions)]):  # rays that start together
-            towards = self._centre - (origins if shared else origins[first])
-            least = np.square(towards).sum(axis=1) - self._radius**2  # of the square of what lies along the ray
-            farthest = nearest[first:last].max(initial=0.0) + self._radius
-            near = np.flatnonzero(least <= farthest**2 - self._radius**2)
-            along_least = np.where(least > 0.0, np.sqrt(np.maximum(least, 0.0)), -np.inf)[near] * (1.0 - 1e-9)
-            step = max(_AT_A_TIME // max(len(near), 1), 1)
-            for start in range(first, last, step):
-                there = directions[start : min(start + step, last)] @ towards[near].T >= along_least
-                ray, item = np.nonzero(there)
-                rays.append(ray + start)
-                items.append(near[item])
-        return np.concatenate(rays), np.concatenate(items)
+            origin, some = origins if shared else origins[first], slice(first, last)
+            face, vehicle = self._instances.meet(origin, directions[some], nearest[some], self._cast)
+            triangle[some] = np.where(face == MISS, triangle[some], self._first[vehicle] + face)
+        ray = np.flatnonzero(triangle != MISS)
+        return Returns(ray, triangle[ray], nearest[ray])
+
+    def _cast(self, mesh, starts, directions, reach):
+        """As `Cast`."""
+        found = self._trees[mesh].meet(starts.T, directions.T, reach.max(initial=0.0))
+        return found.ray, found.triangle, found.distance
