@@ -309,7 +309,7 @@ def test_ours_look_at_the_whole_region_though_few_vehicles_are_searched(i80):
     assert (low.tolist(), high.tolist()) == ([-50.0, right - 8.0], [50.0, left + 8.0])
     beside = site.search[0]
     far = replace(beside, centre_m=beside.centre_m + np.array([0.0, 30.0, 0.0]))
-    low, high = watched(replace(site, search=(replace(site.search[0], vehicles=far),)))
+    low, high = watched(replace(site, search=(far,)))
     assert (low.tolist(), high.tolist()) == ([-50.0, -50.0], [50.0, 50.0])
 
 
