@@ -223,9 +223,10 @@ def test_a_mounting_of_ones_own_that_sees_nothing_is_judged_by_cross_fitting_whe
 
 def test_where_only_the_height_is_searched_candidates_differ_by_height_alone(site):
     scenario = load_scenario(site.scenario.source)
-    tilt = {**scenario.lidar.deployment.places[0].fixed, "tilt_x_deg": 12.0}
-    fixed = replace(scenario.lidar.deployment, fixed=tilt, bounds={"height_m": (2.0, 4.5)})
-    found = grid_candidates(replace(scenario, deployment=fixed), (mounting({"tilt_x_deg": 12.0}),), 6, 26)
+    lidar, (place,) = scenario.lidar, scenario.lidar.deployment.places
+    place = replace(place, fixed={**place.fixed, "tilt_x_deg": 12.0}, bounds={"height_m": (2.0, 4.5)})
+    scenario = scenario.with_lidars(replace(lidar, deployment=replace(lidar.deployment, places=(place,))))
+    found = grid_candidates(scenario, (mounting({"tilt_x_deg": 12.0}),), 6, 26)
     assert found.points[1:].tolist() == [[height, 12.0] for height in (2.0, 2.5, 3.0, 3.5, 4.0, 4.5)]
 
 

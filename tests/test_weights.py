@@ -156,10 +156,9 @@ def test_studies_and_rungs_of_a_search_see_the_same_weights(run):
     assert found.per_vehicle() == pytest.approx(totals.per_vehicle(), rel=1e-12)
     assert found.blocks(site.plan.search_block)[1].sum() == totals.weight.sum() != found.vehicles.sum()
     only_last = [replace(frame, weight=np.zeros(len(frame))) for frame in site.search[:-1]]
-    rungs = fresh_auto_search(
-        replace(site, search=(*only_last, site.search[-1])), site.scenario.lidar.deployment.spaces[0]
-    ).rungs
-    assert rungs[0].frames[0] == len(site.search) - 1  # frames without a weight are looked at last
+    alone = replace(site, search=(*only_last, site.search[-1]))
+    frames = fresh_auto_search(alone, site.scenario.lidar.deployment.spaces[0]).frames
+    assert frames[0] == len(site.search) - 1  # frames without a weight are looked at last
 
 
 def test_a_result_tells_its_weights(run):

@@ -340,9 +340,9 @@ def test_what_is_drawn_is_drawn_several_times_and_what_is_not_once(seen):
 
 
 def test_each_frame_is_seen_under_installation_errors_of_its_own(site, planned):
-    scenario = replace(
-        site.scenario, deployment=replace(site.scenario.lidar.deployment, installer=Installer(tilt_deg=4.0))
-    )
+    lidar = site.scenario.lidar
+    shaken = replace(lidar.deployment, installer=Installer(tilt_deg=4.0))
+    scenario = site.scenario.with_lidars(replace(lidar, deployment=shaken))
     frames = [frame for frame in site.holdout if frame.counted.any()]
     errors, seen = errors_of_frames(scenario, len(frames)), []
     for frame, of_frame in zip(frames, errors, strict=True):
