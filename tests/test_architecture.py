@@ -65,14 +65,14 @@ LIBRARIES = {
     "plyfile": ("clouds/points.py",),
     "lzf": ("clouds/points.py",),
     "zstandard": ("world/blender/site.py",),
-    "pyarrow": ("csv_tables.py",),
+    "pyarrow": ("csv_header.py",),
     "sumolib": ("road/sumo_net.py",),
     "matplotlib": ("report/",),
     "tqdm": ("commands/progress.py",),
     "scipy": ("studies/", "road/pole_places.py", "traffic/layout.py", "traffic/motion.py", "traffic/site_layout.py"),
     "sklearn": ("detection/classical.py",),
     "distributed": ("scoring/cluster.py",),
-    "pandas": ("results.py", "csv_tables.py"),
+    "pandas": ("results.py", "csv_header.py"),
 }
 # Rooms in the order in which the data walks, and those that each may import besides the floor.
 FLOOR = {
@@ -80,6 +80,7 @@ FLOOR = {
     "names",
     "files",
     "compiled",
+    "csv_header",
     "csv_tables",
     "signals",
     "statistics",

@@ -17,7 +17,8 @@ import numpy as np
 
 from ..clouds.files import levelled, write_npz
 from ..clouds.snapshot import MountedSensor
-from ..csv_tables import Column, laid_out, read_whole
+from ..csv_header import laid_out
+from ..csv_tables import Column, read_whole
 from ..errors import InputError
 from ..files import (
     check_folder,

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from ..clouds.files import levelled
-from ..csv_tables import Column, laid_out, read_whole
+from ..csv_header import laid_out
+from ..csv_tables import Column, read_whole
 from ..errors import InputError, MissingFileError, printable, unknown_name
 from ..files import make_folder, read_text, reading, write_columns, write_text
 from ..road.road_map import wrap_angle

@@ -13,8 +13,7 @@ from ..names import SIDES
 from ..toml_table import setting
 
 if TYPE_CHECKING:
-    import numpy as np
-
+    from ..rigid import Rigid
     from .road_map import RoadMap
 
 _LARGEST_M = 1e6  # sums and squares stay finite
@@ -124,15 +123,16 @@ class RoadSettings:
         """Whether masts face the road from where they stand unless said; else all face +y."""
         return self.drives_on != SIDES[0] or self.carriageways > 1
 
-    def of_ngsim(self, along_m: np.ndarray, right_m: np.ndarray) -> np.ndarray:
-        """Places of NGSIM, (n, 2) [m, road frame]: Local_Y along travel, and Local_X from the left edge [m], (n,)."""
+    @property
+    def T_site_ngsim(self) -> Rigid:
+        """From NGSIM's plane (Local_X to the right from the left edge, Local_Y along travel) to the site frame."""
         import numpy as np
 
-        return np.stack([along_m - self.station_m, self.setback_m + (self.right_edge_m - right_m)], axis=1)
+        from ..rigid import Rigid
 
-    def in_ngsim(self, s_m: np.ndarray, t_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Local_Y and Local_X [m] of stations and offsets [m]."""
-        return s_m + self.station_m, self.setback_m + self.right_edge_m - t_m
+        quarter_turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # rows: X to -y, Y to x
+        right_edge = np.array([self.right_edge_m, self.station_m, 0.0])
+        return Rigid(quarter_turn, right_edge, np.array([0.0, self.setback_m, 0.0]))
 
     @property
     def is_level(self) -> bool:

@@ -91,9 +91,8 @@ def _T_recording_site(site: Site) -> Rigid:
     road, settings = site.scenario.road, site.scenario.recordings[0]
     if road.path:
         return Rigid.about_z(0.0, road.origin_m)
-    if site.recording.report.format == "ngsim":  # whose +y is ahead along the road, and +x to the right
-        along_m, right_m = road.in_ngsim(0.0, 0.0)
-        return Rigid.about_z(0.5 * math.pi, (right_m, along_m))
+    if site.recording.report.format == "ngsim":
+        return road.T_site_ngsim.inverse
     return Rigid.about_z(math.radians(settings.heading_deg or 0.0), settings.origin_m or road.origin_m)
 
 

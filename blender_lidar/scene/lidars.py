@@ -5,17 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from ..errors import InputError, MissingFileError
 from ..sensors.model import LidarModel, load_model, unit_of, with_columns
 from ..toml_table import TomlTable, checked, setting, settings_of
-from .deployment import DEPLOYMENT, MOUNTING_OR_LEAN, STAND, Deployment, fixed_beside
+from .deployment import DEPLOYMENT, MOUNTING_OR_LEAN, STAND, Deployment, Facing, fixed_beside
 from .mounting import MOUNTED, Mounting, mounting_from
 from .settings import DATASHEET, DECLARED, SensorSettings, is_sensor_file
-
-if TYPE_CHECKING:
-    from ..road.road_map import RoadMap
 
 OF_ANY_MODEL = ("name", "unit", "noise_seed")  # keys of [sensor] that a single model's table within it has not
 
@@ -31,8 +27,6 @@ class LidarSpec:
     sensor : SensorSettings
     deployment : Deployment
     baseline : Mounting
-    road : RoadMap
-        What masts stand on.
     table : str
         The table of the scene that says where it may hang, as `Scenario.where` knows it.
     """
@@ -41,7 +35,6 @@ class LidarSpec:
     sensor: SensorSettings
     deployment: Deployment
     baseline: Mounting
-    road: RoadMap = field(repr=False, compare=False)
     table: str = field(default="lidar 1", compare=False)
 
     @property
@@ -55,24 +48,29 @@ class LidarSpec:
         Others are as all its places fix them alike, else the baseline's; a mast that is moved faces as a scene says
         that masts face.
         """
-        given = {key: value for key, value in table.items() if value is not None}
-        places, facing = self.deployment.places, self.deployment.facing
+        given, places = {key: value for key, value in table.items() if value is not None}, self.deployment.places
         alike = {
             key: value
             for key, value in places[0].fixed.items()
             if all(one.fixed.get(key) == value for one in places[1:])
         }
         found = fixed_beside(alike, given) | given
-        if "facing_deg" not in given:
+        moved, placed = (not of.keys().isdisjoint(("x_m", "y_m")) for of in (given, found))
+        facing = self._facing(moved=moved, placed=placed)
+        if "facing_deg" not in given and facing is not None:
             xy = [found.get(key, own) for key, own in zip(("x_m", "y_m"), self.baseline.xy, strict=True)]
-            moved, placed = (not of.keys().isdisjoint(("x_m", "y_m")) for of in (given, found))
-            if all(one.facing == places[0].facing for one in places) and not (moved and facing.angle_deg is None):
-                facing = places[0].facing
-            elif facing.angle_deg is not None:  # poles face each its own way
-                facing = None
-            if facing is not None and (placed or facing.angle_deg is not None):
-                found["facing_deg"] = facing.at(xy, self.road)
-        return mounting_from(found, self.road, self.baseline, where)
+            found["facing_deg"] = facing.at(xy, places[0].road)
+        return mounting_from(found, places[0].road, self.baseline, where)
+
+    def _facing(self, *, moved: bool, placed: bool) -> Facing | None:
+        """Which way a mast faces that coordinates move, or that they or its places put; None: as the baseline's."""
+        rule, own = self.deployment.facing, {place.facing for place in self.deployment.places}
+        if moved and rule.angle_deg is None:
+            return rule
+        if len(own) > 1:  # poles face each its own way
+            return None
+        (facing,) = own
+        return facing if placed or facing.angle_deg is not None else None
 
     def as_table(self) -> dict[str, object]:
         """The entry of [[lidar]] that it is, spelt out."""

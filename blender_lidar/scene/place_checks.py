@@ -146,7 +146,7 @@ def _keep_to_it(placed: Placed) -> bool:
 def _place_meant(t: np.ndarray, recording: Recording, scenario: Scenario) -> str:
     """What would put vehicles at `t` onto the carriageway, in words."""
     if recording.report.periods:
-        at = _span("Local_X", scenario.road.in_ngsim(0.0, t)[1])
+        at = _span("Local_X", scenario.road.T_site_ngsim.inverse.points(np.stack([0.0 * t, t], axis=1))[:, 0])
         return f"check [road] right_edge_m, in metres where NGSIM has feet: vehicles drive at {at}"
     return (
         "check [traffic] origin_m and heading_deg, the unit and the side (y mirrored, or half a turn), and [road] "
@@ -328,7 +328,7 @@ def nobody_there(recording: Recording, region: Region, frames: int, scenario: Sc
         meant = f"its lanes are {there}" if there else "it names no lanes"
         meant = f"check [region] stretches: of lanes {', '.join(map(str, sorted(asked)))}, {meant}"
     elif recording.report.periods:
-        local_y, _ = scenario.road.in_ngsim(np.median(x), 0.0)
+        _, local_y = scenario.road.T_site_ngsim.inverse.points((np.median(x), 0.0))
         meant = f"check [road] station_m (such as {local_y:.0f}) and [region]"
     else:
         meant = "check [traffic] origin_m and heading_deg, and [region]"

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..csv_tables import Column, laid_out, read_whole
+from ..csv_header import laid_out
+from ..csv_tables import Column, read_whole
 from ..errors import InputError, shown
 from .deployment import COORDINATE_LIMITS, Deployment, Place, Pole
 

@@ -302,23 +302,21 @@ def scenario_of(
     region = _region(tables, of_file, overrides, roadside)
     roadside = replace(roadside, middle_xy=region_of(region, roadside.map).centre_xy)
     lidars = lidars_from(tables, of_file, roadside)
-    ((world,), (objective,), (search,), (model,), (drawing,)) = (
-        tables[name] for name in ("world", "objective", "search", "model", "drawing")
-    )
+    table_of = {name: listed[0] for name, listed in tables.items() if listed}
     return Scenario(
         source=source,
         where=where,
         recordings=tuple(recordings),
         road=road,
         road_map=roadside.map,
-        world=world_from(world, road),
+        world=world_from(table_of["world"], road),
         lidars=lidars,
         region=region,
-        objective=objective_from(objective),
-        search=search_from(search, lidars),
-        model=model_from(model),
-        drawing=drawing_from(drawing),
-        baseline_hangs=not tables["baseline"][0].some(BASELINE)["installer"],
+        objective=objective_from(table_of["objective"]),
+        search=search_from(table_of["search"], lidars),
+        model=model_from(table_of["model"]),
+        drawing=drawing_from(table_of["drawing"]),
+        baseline_hangs=not table_of["baseline"].some(BASELINE)["installer"],
     )
 
 

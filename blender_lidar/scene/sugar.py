@@ -76,12 +76,12 @@ def lidars_from(
     MissingFileError, InputError
         Naming the key: two of one name, two on one pole, or what `sensor_from` and `deployment_from` refuse.
     """
-    (sensor,), (short,), (baseline,), entries = (tables[name] for name in ("sensor", "deployment", "baseline", "lidar"))
+    sensor, short, baseline = (tables[name][0] for name in ("sensor", "deployment", "baseline"))
+    entries = tables["lidar"]
     if not entries:
         deployment = deployment_from(short, roadside)
         hung = upright_from(baseline, deployment, roadside)
-        spec = LidarSpec(THE_LIDAR, sensor_from(sensor), deployment, hung, roadside.map, "deployment")
-        return (spec,)
+        return (LidarSpec(THE_LIDAR, sensor_from(sensor), deployment, hung, "deployment"),)
     if short.values:
         raise InputError(f"{short.name}: is given beside [[lidar]]; allowed: its keys in each [[lidar]]")
     if len(entries) > _MOST:
@@ -101,7 +101,7 @@ def lidars_from(
     _check_aims(entries, deployments)
     baselines = _baselines_from(baseline, entries, deployments, roadside)
     each = enumerate(zip(names, sensors, deployments, baselines, strict=True), start=1)
-    return tuple(LidarSpec(*one, roadside.map, f"lidar {number}") for number, one in each)
+    return tuple(LidarSpec(*one, f"lidar {number}") for number, one in each)
 
 
 def deployment_of(tables: Mapping[str, list[TomlTable]], roadside: Roadside) -> Deployment:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..csv_tables import column_meant, fields_of, first_lines
+from ..csv_header import column_meant, fields_of, first_lines
 from ..errors import InputError, MissingExtraError, unknown_name
 from ..files import number, read_text, reading
 

@@ -11,7 +11,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from ..csv_tables import delimiter_of, first_lines, foreign, quoted
+from ..csv_header import delimiter_of, first_lines, quoted
+from ..csv_tables import foreign
 from ..errors import InputError, unknown_name
 from ..names import TRAFFIC_FORMATS
 from ..road import RoadSettings

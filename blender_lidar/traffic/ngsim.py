@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..csv_tables import EMPTY, Column, Rows, TableLayout, fields_of, first_lines, header_names, laid_out, read_rows
+from ..csv_header import TableLayout, fields_of, first_lines, header_names, laid_out
+from ..csv_tables import EMPTY, Column, Rows, read_rows
 from ..errors import InputError, unknown_name
 from ..files import number
 from ..road import RoadSettings
@@ -120,8 +121,7 @@ def _boxes(
     """Rows of one period, sorted by (vehicle, frame) without repeats, as boxes in the road frame."""
     vehicle, frame, lane, v_class = (rows[name] for name in ("vehicle_id", "frame", "lane", "v_class"))
     time_s = frame * time_step_s
-    right_m, along_m = rows["local_m"].T  # Local_X, Local_Y: from the left edge, along travel
-    front = road.of_ngsim(along_m, right_m)
+    front = road.T_site_ngsim.points(rows["local_m"])
     since_s = np.diff(time_s, prepend=time_s[0])
     track = np.cumsum((np.diff(vehicle, prepend=vehicle[0]) != 0) | (since_s > WINDOW_S))  # short ones sum exactly
     motion, held = held_heading(vehicle, fitted_velocity(track, time_s, front))

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..csv_tables import Column, TableLayout, fields_of, first_lines, laid_out, read_whole
+from ..csv_header import TableLayout, fields_of, first_lines, laid_out
+from ..csv_tables import Column, read_whole
 from ..errors import InputError, MissingFileError
 from .table import READ_COLUMNS, read_table
 from .vehicles import Recording

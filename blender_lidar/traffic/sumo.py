@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..csv_tables import MAX_ROWS, Column, Rows, TableLayout, delimiter_of, fields_of, first_lines, read_rows, short
+from ..csv_header import TableLayout, delimiter_of, fields_of, first_lines, short
+from ..csv_tables import MAX_ROWS, Column, Rows, read_rows
 from ..errors import InputError
 from ..rigid import Rigid
 from .sumo_types import assumed_sides, is_config, person_type, read_types, start_tags, types_of

@@ -11,7 +11,8 @@ from xml.parsers import expat
 
 import numpy as np
 
-from ..csv_tables import Column, Rows, listed, short
+from ..csv_header import listed, short
+from ..csv_tables import Column, Rows
 from ..errors import InputError, unknown_name
 from ..files import open_bytes
 from .vehicles import DIMENSIONS, HEIGHTS_M, VAN_LONGER_THAN_M

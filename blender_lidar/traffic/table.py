@@ -34,7 +34,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..csv_tables import Column, Rows, TableLayout, first_lines, header_names, nearest_names, quoted, read_whole
+from ..csv_header import TableLayout, first_lines, header_names, nearest_names, quoted
+from ..csv_tables import Column, Rows, read_whole
 from ..errors import InputError, unknown_name
 from ..files import number, open_bytes, write_columns
 from ..rigid import Rigid

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from ..csv_tables import EMPTY, Rows, listed
+from ..csv_header import listed
+from ..csv_tables import EMPTY, Rows
 from ..errors import InputError
 from .vehicles import CLASSES, FLEET_KINDS, HEIGHTS_M, VAN_LONGER_THAN_M, fleet_kind
 
