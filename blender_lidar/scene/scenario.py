@@ -193,17 +193,13 @@ class Scenario:
     def with_whole_paths(self) -> dict[str, dict | list[dict]]:
         """`as_tables` with paths from the root on, so that they mean the same from any folder."""
         tables = self.as_tables()
-        for table in [tables["traffic"]] if len(self.recordings) == 1 else tables["traffic"]:
-            table["path"] = _whole(table["path"])
-            table["vehicle_types"] = tuple(map(_whole, table["vehicle_types"] or ())) or None
-        for table, keys in {"road": ("net", "opendrive"), "world": ("blend", "mesh"), "drawing": ("image",)}.items():
-            tables[table] |= {key: _whole(tables[table][key]) for key in keys if tables[table].get(key)}
-        tables["world"]["vehicles"] = {kind: _whole(path) for kind, path in self.world.vehicles.items()}
+        for name, listed in tables.items():
+            paths = [key for key, declared in DECLARED[name].items() if declared.is_path]
+            for table in listed if isinstance(listed, list) else [listed]:
+                table |= {key: _whole(table[key]) for key in paths if table.get(key)}
         tables["sensor"] = {_whole(key) if is_sensor_file(key) else key: of for key, of in tables["sensor"].items()}
-        for table in (tables["sensor"], *tables["lidar"]):
-            for key in ("name", "sensor", "poles"):
-                if table.get(key) and (key == "poles" or is_sensor_file(table[key])):
-                    table[key] = _whole(table[key])
+        for table, key in ((tables["sensor"], "name"), *((lidar, "sensor") for lidar in tables["lidar"])):
+            table[key] = _whole(table[key]) if is_sensor_file(table[key]) else table[key]
         return tables
 
 
@@ -220,8 +216,11 @@ def _numbered(name: str, number: int) -> str:
     return name if number == 1 else f"{name} {number}"
 
 
-def _whole(path: str) -> str:
-    return str(Path(path).resolve())
+def _whole(path):
+    """A path, or a tuple or mapping of them, from the root on."""
+    if isinstance(path, Mapping):
+        return {key: _whole(one) for key, one in path.items()}
+    return tuple(map(_whole, path)) if isinstance(path, tuple) else str(Path(path).resolve())
 
 
 def shipped_scenes() -> dict[str, Path]:
