@@ -1,6 +1,6 @@
 """The beginning of a table of a user's: encoding, first lines, what divides the columns, and what their names mean.
 
-Only Parquet needs a library; it is found out here, as its names are no line of text.
+Of a Parquet file the names of its columns stand for the header; reading it needs pyarrow.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def first_lines(path: str | Path) -> list[tuple[int, str]]:
         For Parquet without pyarrow.
     """
     if is_parquet(path):
-        return [(0, ",".join(parquet(path)))]
+        return [(0, ",".join(read_parquet(path).names))]
     lines = list(enumerate(_LINE_END.split(beginning(path)[0]), start=1))
     if _NAMES_SEPARATOR.fullmatch(lines[0][1]):
         del lines[0]
@@ -215,7 +215,7 @@ def quoted(text: str) -> str:
     return repr(text if len(text) <= _LONGEST_SHOWN else text[:_LONGEST_SHOWN] + "...")
 
 
-# --- Parquet ------------------------------------------------------------------------------------------------
+# --- Parquet, whose columns have names and no header ----------------------------------------------------------
 
 
 def is_parquet(path: str | Path) -> bool:
@@ -224,37 +224,23 @@ def is_parquet(path: str | Path) -> bool:
         return stream.read(4) == b"PAR1"
 
 
-def parquet(path: str | Path, columns: Sequence[int] | None = None) -> Any:
-    """Of a Parquet file the columns at these places, as a DataFrame by place, or the names of all.
+def read_parquet(path: str | Path, columns: Sequence[int] | None = None) -> Any:
+    """A Parquet file as a table of pyarrow's, of the columns at these places alone, or its schema.
 
     Raises
     ------
     InputError
         If it cannot be read.
     MissingExtraError
-        Without pandas or pyarrow.
+        Without pyarrow.
     """
-    pandas = pandas_for(path, "Parquet")
     try:
         from pyarrow import parquet
 
-        names = parquet.read_schema(path).names
-        if columns is None:
-            return names
-        frame = pandas.read_parquet(path, engine="pyarrow", columns=[names[place] for place in columns])
+        schema = parquet.read_schema(path)
+        return schema if columns is None else parquet.ParquetFile(path).read([schema.names[at] for at in columns])
     except ImportError as error:
         text = f'{path}: Parquet files need pyarrow: pip install "blender_lidar[parquet]"'
         raise MissingExtraError(text) from error
-    except Exception as error:  # of many kinds, by pyarrow and pandas
+    except Exception as error:  # of many kinds, by pyarrow
         raise InputError(f"{path}: truncated or damaged Parquet file ({str(error).partition(chr(10))[0]})") from error
-    frame.columns, frame.index = columns, range(1, 1 + len(frame))
-    return frame
-
-
-def pandas_for(path: str | Path, why: str) -> Any:
-    try:
-        import pandas
-    except ImportError as error:
-        text = f"needs pandas, for {why}: pip install pandas; inside Blender, which lacks it, give the table that"
-        raise MissingExtraError(f"{path}: {text} blender-lidar init writes of it outside") from error
-    return pandas

@@ -1,7 +1,7 @@
 """CSV tables of users: their rows, in chunks by NumPy, and what the numbers of a column may be.
 
-NumPy's `loadtxt` reads what is plain: UTF-8 with decimal points, whatever divides the columns. pandas reads the rest,
-and is imported for it alone: other encodings, decimal commas, Parquet.
+NumPy's `loadtxt` parses what is clean: no quotes, no blank or missing cells, decimal points. Other chunks are split
+into texts. pyarrow reads Parquet.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from .csv_header import TableLayout, beginning, is_parquet, pandas_for, parquet, quoted
+from .csv_header import TableLayout, beginning, is_parquet, quoted, read_parquet
 from .errors import InputError
 from .files import number, open_bytes
 
@@ -27,7 +27,6 @@ EMPTY = ("", "NULL", "null", "None")
 """What stands for a missing value; the text ``nan`` does not."""
 _CHUNK_ROWS = 5_000  # more fill the processor's cache with short strings
 _TEXT = 24  # characters that the fast parser takes; longer texts are read as rows
-_BEHIND = 16  # empty columns that spreadsheets may write behind the last one
 _LARGEST = 2.0**53  # whole numbers are exact up to here
 
 # --- Columns of numbers -----------------------------------------------------------------------------------
@@ -165,22 +164,6 @@ def _has_decimal_commas(path: str | Path, text: str, delimiter: str | None) -> b
     return bool(found) and delimiter != ","
 
 
-def foreign(path: str | Path, delimiter: str | None) -> str | None:
-    """What of a table NumPy does not read, so that pandas is needed; None for a plain one.
-
-    Raises
-    ------
-    MissingFileError, InputError
-        As `first_lines`; and if commas in numbers may mean decimals or thousands.
-    """
-    if is_parquet(path):
-        return "Parquet"
-    text, encoding = beginning(path)
-    if _has_decimal_commas(path, text, delimiter):
-        return "decimal commas"
-    return None if encoding.startswith("utf-8") else f"the encoding {encoding}"
-
-
 def read_rows(
     path: str | Path, layout: TableLayout, columns: Mapping[str, Column], texts: Collection[str] = ()
 ) -> Iterator[Rows]:
@@ -207,18 +190,20 @@ def read_rows(
         If a row has not as many fields as the others, there are more than `MAX_ROWS`, or commas in numbers may mean
         decimals or thousands.
     MissingExtraError
-        If pandas or pyarrow is needed and not there.
+        For Parquet without pyarrow.
     """
     used = {name: layout.columns.index(name) for name in (*columns, *texts) if name in layout.columns}
-    why = foreign(path, layout.delimiter)
-    if why is not None:
-        rows = _rows_by_pandas(path, layout, used, columns, why)
+    if is_parquet(path):
+        rows = _rows_of_parquet(path, used, columns)
         if len(rows) > MAX_ROWS:
             raise InputError(f"{path}: more than {MAX_ROWS:,} rows; split the file")
         if len(rows):
             yield rows
         return
-    with open_bytes(path) as stream, io.TextIOWrapper(stream, "utf-8-sig", errors="replace", newline="") as text:
+    head, encoding = beginning(path)
+    decimal = _has_decimal_commas(path, head, layout.delimiter)
+    plain_text = _with_point if decimal else _without_thousands
+    with open_bytes(path) as stream, io.TextIOWrapper(stream, encoding, errors="replace", newline="") as text:
         below = islice(text, layout.first_line - 1, None)
         first = layout.first_line
         while lines := list(islice(below, _CHUNK_ROWS)):
@@ -231,12 +216,17 @@ def read_rows(
                     if line.count('"') % 2:
                         break
                 joined = "".join(lines)
-            if '"' in joined and layout.delimiter == ",":
-                lines = _unquoted(joined, lines)
-            begin, found = range(first, first + len(lines)), _parsed(lines, layout, used, columns.keys())
+            if decimal and _WITH_POINT.search(joined):
+                raise InputError(f"{path}: has numbers with a decimal comma and with a point; allowed: one of them")
+            plain = _unquoted(joined, lines) if '"' in joined and layout.delimiter == "," else lines
+            begin = range(first, first + len(lines))
+            found = None if decimal else _parsed(plain, layout, used, columns.keys())
             first += len(lines)
             if found is None:
                 begin, found = _split(lines, path, layout, used, begin[0])
+                if decimal or layout.delimiter == ",":
+                    numeric = [name for name in columns if name in found]
+                    found |= {name: np.array(list(map(plain_text, found[name])), dtype=object) for name in numeric}
             if len(begin):
                 yield Rows(found, begin, f"{path}:")
 
@@ -254,6 +244,14 @@ def read_whole(
     names = parts[0] if parts else {"": ()} | dict.fromkeys((*columns, *texts), ())
     found = {name: np.concatenate([part[name] for part in parts] or [np.zeros(0)]) for name in names}
     return Rows(found, found.pop("").astype(np.int64), place)
+
+
+def _with_point(text: str) -> str:
+    return text.replace(",", ".")
+
+
+def _without_thousands(text: str) -> str:
+    return text.replace(",", "") if _THOUSANDS.fullmatch(text.strip()) else text
 
 
 def _unquoted(joined: str, lines: list[str]) -> list[str]:
@@ -327,50 +325,13 @@ def _split(
     return begin, {name: np.array(fields[place], dtype=object) for name, place in used.items()}
 
 
-# --- pandas, for what NumPy does not read ------------------------------------------------------------------
-
-
-def _rows_by_pandas(
-    path: str | Path, layout: TableLayout, used: Mapping[str, int], columns: Mapping[str, Column], why: str
-) -> Rows:
-    """All rows of a foreign table; what a column of numbers lacks is NaN, or None where it holds texts too."""
-    if why == "Parquet":
-        frame, place = parquet(path, [*used.values()]), f"{path}: row "
-    else:
-        texts = [at for name, at in used.items() if name not in columns]
-        frame, place = _csv_by_pandas(path, layout, texts, why), f"{path}:"
-    found = {}
-    for name, at in used.items():
-        series = frame[at]
-        is_number = name in columns and series.dtype.kind in "iuf"
-        if is_number and (columns[name].optional or not series.isna().any()):
-            found[name] = series.to_numpy(dtype=np.float64)
-            continue
-        values = series.astype(object).where(series.notna(), None).to_numpy()
-        if name in columns and why == "decimal commas" and not is_number:
-            if _WITH_POINT.search(" ".join(text for text in values if text is not None)):
-                raise InputError(f"{path}: has numbers with a decimal comma and with a point; allowed: one of them")
-            values = np.array([text if text is None else text.replace(",", ".") for text in values], dtype=object)
-        found[name] = values
-    return Rows(found, frame.index.to_numpy(), place)
-
-
-def _csv_by_pandas(path: str | Path, layout: TableLayout, texts: Sequence[int], why: str) -> Any:
-    """A foreign table of text as a DataFrame, its columns numbered from 0, its rows by their lines."""
-    width, pandas, encoding = len(layout.columns), pandas_for(path, why), beginning(path)[1]
-    how = {"decimal": "," if why == "decimal commas" else ".", "float_precision": "round_trip", "low_memory": False}
-    how |= {"keep_default_na": False, "na_values": list(EMPTY), "dtype": {str(place): str for place in texts}}
-    how |= {"skip_blank_lines": False, "skipinitialspace": True, "sep": layout.delimiter or r"\s+"}
-    header = (layout.delimiter or " ").join(map(str, range(width + _BEHIND)))
-    with open_bytes(path) as stream, io.TextIOWrapper(stream, encoding, errors="replace", newline="") as text:
-        try:
-            below = io.StringIO("".join([header, "\n", *islice(text, layout.first_line - 1, None)]), newline="")
-            frame = pandas.read_csv(below, index_col=False, **how)
-        except (ValueError, UnicodeError) as error:
-            raise InputError(f"{path}: {str(error).partition(chr(10))[0]}") from error
-    frame.columns, frame.index = range(frame.shape[1]), range(layout.first_line, layout.first_line + len(frame))
-    frame = frame[frame.notna().any(axis=1)]
-    beyond = frame.index[frame.iloc[:, width:].notna().any(axis=1)]
-    if len(beyond):
-        raise InputError(f"{path}:{beyond[0]}: more than {width} fields; the first line has {width}")
-    return frame
+def _rows_of_parquet(path: str | Path, used: Mapping[str, int], columns: Mapping[str, Column]) -> Rows:
+    """All rows of a Parquet file; what a column lacks is None, or NaN where cells of numbers may be empty."""
+    table, found = read_parquet(path, [*used.values()]), {}
+    for place, name in enumerate(used):
+        values, missing = table.column(place).to_numpy(), table.column(place).is_null().to_numpy()
+        if name in columns and values.dtype.kind in "iuf" and (columns[name].optional or not missing.any()):
+            found[name] = values.astype(np.float64)
+        else:
+            found[name] = np.where(missing, None, values.astype(object))
+    return Rows(found, range(1, 1 + len(table)), f"{path}: row ")

@@ -72,7 +72,7 @@ LIBRARIES = {
     "scipy": ("studies/", "road/pole_places.py", "traffic/layout.py", "traffic/motion.py", "traffic/site_layout.py"),
     "sklearn": ("detection/classical.py",),
     "distributed": ("scoring/cluster.py",),
-    "pandas": ("results.py", "csv_header.py"),
+    "pandas": ("results.py",),
 }
 # Rooms in the order in which the data walks, and those that each may import besides the floor.
 FLOOR = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 import math
 import sys
@@ -463,14 +464,34 @@ def test_a_path_below_the_folder_is_relative_to_it(tmp_path):
     assert tomllib.loads(f"p = {_path(tmp_path / 'run.csv', tmp_path / 'site')}")["p"] == str(tmp_path / "run.csv")
 
 
-def test_a_table_that_blender_cannot_read_is_written_as_one_that_it_can(tmp_path, monkeypatch):
+def test_parquet_which_blender_cannot_read_is_written_as_a_table_that_it_can(tmp_path, monkeypatch):
+    pytest.importorskip("pyarrow")
+    from pyarrow import csv as tables
+    from pyarrow import parquet
+
     without_charts(monkeypatch)
     path = table_of(tmp_path / "t.csv", both_ways("right", 30.0))
-    foreign = tmp_path / "excel.csv"
-    foreign.write_text(path.read_text().replace(",", ";").replace(".", ","), encoding="utf-16")
+    foreign, taken = tmp_path / "t.parquet", tmp_path / "taken"
+    parquet.write_table(tables.read_csv(path), foreign)
     assert run("init", tmp_path / "plain", path) == run("init", tmp_path / "site", foreign) == 0
     plain, made = (load_scenario(tmp_path / name / "scene.toml") for name in ("plain", "site"))
     assert (Path(made.recordings[0].path).name, made.recordings[0].format) == ("traffic.csv", "table")
-    monkeypatch.setitem(sys.modules, "pandas", None)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
     np.testing.assert_array_equal(read_recording(made).centre_m, read_recording(plain).centre_m)
     assert read_recording(made).report == read_recording(plain).report
+    taken.mkdir()
+    (taken / "traffic.csv").write_bytes(foreign.read_bytes())
+    assert run("init", taken, taken / "traffic.csv") == 2
+    assert (taken / "traffic.csv").read_bytes() == foreign.read_bytes()
+
+
+def test_ngsims_road_is_the_same_whatever_the_encoding_of_the_file(tmp_path, monkeypatch):
+    without_charts(monkeypatch)
+    whole = gzip.decompress((shipped_scenes()["i80"].parent / "i80_sample.csv.gz").read_bytes())
+    found = []
+    for encoding in ("utf-8", "utf-16"):
+        path = tmp_path / f"{encoding}.csv"
+        path.write_bytes(whole.decode().encode(encoding))
+        assert run("init", tmp_path / f"site {encoding}", path) == 0
+        found.append(load_scenario(tmp_path / f"site {encoding}" / "scene.toml").road)
+    assert found[0] == found[1]

@@ -266,7 +266,7 @@ def test_a_bad_value_in_parquet(tmp_path):
     sumo.need_pyarrow()
     path = tmp_path / "run.parquet"
     sumo.write_parquet(path, [*ROWS, sumo.row(0.8, x="nan")])
-    assert refused(path) == f"FILE: row {len(ROWS) + 1}: x is nothing; allowed: {PLACE}"
+    assert refused(path) == f"FILE: row {len(ROWS) + 1}: x is 'nan'; allowed: {PLACE}"
     sumo.write_parquet(path, [*ROWS, sumo.row(0.8, y=None)])
     assert f"FILE: row {len(ROWS) + 1}: y is" in refused(path)
     sumo.write_parquet(path, ROWS, columns=("time", "id", "x", "y"))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from blender_lidar import csv_tables as csv_rows
-from blender_lidar.errors import InputError, MissingExtraError, MissingFileError
-from blender_lidar.traffic import format_of, needs_pandas, read_table, read_traffic, write_table
+from blender_lidar.errors import InputError, MissingFileError
+from blender_lidar.traffic import format_of, read_table, read_traffic, write_table
 from blender_lidar.traffic.presets import PRESETS, meta_files
 from blender_lidar.traffic.table import BOX_NEEDED
 from blender_lidar.traffic.vehicles import CLASSES, RepairReport
@@ -515,10 +515,9 @@ def test_runs_of_a_tgsim_file_that_are_left_out_are_named(tmp_path):
     assert any("2 runs found (run-index 1, 2); the first is used" in note for note in found.report.notes)
 
 
-def test_what_a_foreign_table_is_written_as_gives_the_same_boxes_and_says_the_same(tmp_path):
+def test_what_a_table_is_written_as_gives_the_same_boxes_and_says_the_same(tmp_path):
     path = sheet(tmp_path, **SHEETS["French Excel, Unicode text"])
     recording = read_traffic(path)
-    assert (needs_pandas(path), needs_pandas(write(tmp_path))) == (True, False)
     write_table(tmp_path / "traffic.csv", recording)
     again = read_traffic(tmp_path / "traffic.csv")
     for name in COLUMNS:
@@ -529,9 +528,24 @@ def test_what_a_foreign_table_is_written_as_gives_the_same_boxes_and_says_the_sa
     assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "traffic.csv").read_bytes()
 
 
-@pytest.mark.parametrize("case", ["German Excel", "UTF-16 without its mark"])
-def test_a_foreign_table_without_pandas_says_what_to_do(tmp_path, monkeypatch, case):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(MissingExtraError, match=r"pip install pandas; inside Blender, .* init writes of it outside"):
-        read_traffic(sheet(tmp_path, **SHEETS[case]))
-    same(read_traffic(sheet(tmp_path, mark=";")), read_table(write(tmp_path, rows=TEN)))
+ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "cp1252")
+
+
+@pytest.mark.parametrize("case", SHEETS)
+def test_no_table_of_text_needs_more_than_numpy(tmp_path, monkeypatch, case):
+    for library in ("pandas", "pyarrow"):
+        monkeypatch.setitem(sys.modules, library, None)
+    same(read_traffic(sheet(tmp_path, **SHEETS[case])), read_table(write(tmp_path, rows=TEN)))
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_in_every_encoding_quoted_thousands_are_read_and_a_short_row_is_refused_by_its_line(tmp_path, encoding):
+    path = write(tmp_path, rows=[row.replace(",1227.5,", ',"1,227.5",') for row in TEN])
+    text = path.read_text(encoding="utf-8")
+    assert '"1,227.5"' in text
+    path.write_bytes(text.encode(encoding))
+    same(read_traffic(path), read_table(write(tmp_path, name="plain.csv", rows=TEN)))
+    short = write(tmp_path, rows=[*TEN[:-1], TEN[-1].rpartition(",")[0]])
+    short.write_bytes(short.read_text(encoding="utf-8").encode(encoding))
+    columns = HEADER.count(",") + 1
+    assert refused(short) == f"FILE:{len(TEN) + 1}: {columns - 1} fields; the first line has {columns}"

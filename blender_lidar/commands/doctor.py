@@ -17,7 +17,6 @@ from ..sensors.pose import Pose
 
 _OPTIONAL = {
     "scipy": "",
-    "pandas": "",
     "bpy": "blender",
     "numba": "fast",
     "embreex": "fast",
@@ -25,6 +24,7 @@ _OPTIONAL = {
     "tqdm": "plots",
     "pyarrow": "parquet",
     "eclipse-sumo": "sumo",
+    "pandas": "sumo",
     "distributed": "cluster",
 }
 _TOLERANCE_M = 1e-4

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..csv_header import is_parquet
 from ..errors import InputError, MissingExtraError, MissingFileError, one_line, unknown_name
 from ..files import check_folder, check_unused, make_folder, whole_file, write_text
 from ..names import SIDES, TRAFFIC_FORMATS
@@ -26,7 +27,7 @@ from ..scene.plausibility import checked_recording
 from ..scene.scenario import load_scenario, shipped_scenes
 from ..scene.settings import TrafficSettings
 from ..toml_table import settings_of, to_toml
-from ..traffic import Recording, format_of, needs_pandas, read_traffic, write_table
+from ..traffic import Recording, format_of, read_traffic, write_table
 from ..traffic.lanes import LANE_WIDTHS_M
 from ..traffic.layout import SETBACK_M, RoadLayout, propose_layout
 from ..traffic.site_layout import SiteLayout, is_crossing, propose_site
@@ -71,18 +72,21 @@ def run(args: argparse.Namespace) -> int:
     _check(folder, [path, *map(Path, given.get("vehicle_types", ())), *maps])
     kind = format_of(path) if kind == TRAFFIC_FORMATS[0] else kind
     unplaced = RoadSettings(station_m=0.0, right_edge_m=0.0, setback_m=0.0)
-    recording, kerb_lane = read_traffic(path, format=kind, road=unplaced, **given), kind == "sumo"
-    if needs_pandas(path):  # which Blender lacks
+    recording = read_traffic(path, format=kind, road=unplaced, **given)
+    follows_x, kerb_lane = kind == "ngsim", kind == "sumo"
+    if is_parquet(path):  # which Blender does not read
+        if (folder / TABLE).exists():
+            raise InputError(f"FOLDER: {folder}: holds a {TABLE} already, and nothing is overwritten; give another one")
         make_folder(folder, "FOLDER")
         path, kind, given = folder / TABLE, "table", {}
         write_table(path, recording)
         print(f"blender-lidar: note: {path} holds the recording as Blender reads it too", file=sys.stderr)
     recording = recording.vehicles_alone
-    if not asked.settings.driven or asked.at or asked.junction or (kind != "ngsim" and is_crossing(recording)):
-        if kind == "ngsim":
+    if not asked.settings.driven or asked.at or asked.junction or (not follows_x and is_crossing(recording)):
+        if follows_x:
             raise InputError("--net, --road, --at and --junction: do not apply to NGSIM, whose roads are straight")
         return _run_site(propose_site(recording, *asked), kind, {"path": path, **given}, folder)
-    layout = propose_layout(recording, follows_x=kind == "ngsim", kerb_lane=kerb_lane)
+    layout = propose_layout(recording, follows_x=follows_x, kerb_lane=kerb_lane)
     make_folder(folder, "FOLDER")
     text = scene_text(recording, layout, kind, {"path": path, **given}, folder)
     write_text(folder / SCENE, text)

@@ -1,6 +1,6 @@
 """Traffic: recordings of any kind into one `Boxes` per frame, in metres and in the road frame.
 
-Tables that are not plain need pandas, imported when one is read; the rest needs numpy alone.
+Parquet needs pyarrow, imported when one is read; the rest needs numpy alone.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from ..csv_header import delimiter_of, first_lines, quoted
-from ..csv_tables import foreign
+from ..csv_header import first_lines, quoted
 from ..errors import InputError, unknown_name
 from ..names import TRAFFIC_FORMATS
 from ..road import RoadSettings
@@ -36,7 +35,6 @@ __all__ = [
     "instants",
     "joined_plans",
     "joined_recordings",
-    "needs_pandas",
     "overlapping_pairs",
     "plan_frames",
     "read_table",
@@ -72,7 +70,7 @@ def read_traffic(
         If the file, one of its values or a setting cannot be used, or a setting is given that the format does not
         have.
     MissingExtraError
-        If pandas or pyarrow is needed and not there.
+        For Parquet without pyarrow.
     """
     if format not in TRAFFIC_FORMATS:
         raise unknown_name(format, TRAFFIC_FORMATS, "traffic format")
@@ -89,12 +87,6 @@ def read_traffic(
         given["road"] = road or RoadSettings()
     recording = read(path, **given)
     return with_overlaps_reported(replace(recording, report=replace(recording.report, format=format)))
-
-
-def needs_pandas(path: str | Path) -> bool:
-    """Whether a recording is a table that NumPy alone does not read, as inside Blender."""
-    header = first_lines(path)[0][1]
-    return not header.lstrip().startswith("<") and foreign(path, delimiter_of(header, ())) is not None
 
 
 _FEWEST_ALIKE = 4  # of a format's needed columns, by which a header is known

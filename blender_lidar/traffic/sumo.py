@@ -59,7 +59,7 @@ def read_sumo(
     MissingFileError, InputError
         If a file or one of its values cannot be used; the text names the line.
     MissingExtraError
-        For Parquet without pandas and pyarrow.
+        For Parquet without pyarrow.
     """
     if is_config(path):
         raise InputError(

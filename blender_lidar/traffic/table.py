@@ -19,7 +19,7 @@ One row per vehicle and frame under a header; columns in any order, further ones
 Frame or time, and class or size, must be there. A bicycle or pedestrian without length or width has its class's; what
 is on no road, such as a container, is left out and counted.
 
-``vehicles.csv`` of a run is such a table, and so is what ``init`` writes of a recording that only pandas reads. It
+``vehicles.csv`` of a run is such a table, and so is what ``init`` writes of a recording in Parquet. It
 may be packed with gzip, and begin with lines that start with ``#``. Spreadsheets may have written it: with semicolons,
 tabs and decimal commas, as UTF-8, UTF-16 or Windows-1252.
 """
