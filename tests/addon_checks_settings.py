@@ -80,7 +80,7 @@ def check_a_scan_and_a_score_are_those_of_the_command_line():
 def prepared(scenario, hangs):
     """The one frame that the panel shows, as a run has it."""
     traffic = replace(scenario.recordings[0], frame_ids=(FRAME,), frames=None, holdout=0.0)
-    return prepare(replace(scenario, traffic=traffic), [hangs])
+    return prepare(replace(scenario, recordings=(traffic,)), [hangs])
 
 
 def check_an_exported_run_is_that_of_evaluate():

@@ -438,7 +438,7 @@ def test_the_options_are_refused_by_name(run_of_two, tmp_path, capsys):
     cloud = run_of_two / "cloud_0.npz"
     for words, text in {
         ("--lidar", "north"): "--lidar: is given without --run",
-        ("--run", run_of_two / "run", "--lidar", "north"): "--lidar: is 'north'; allowed: none",
+        ("--run", run_of_two / "run", "--lidar", "north"): "--lidar: is 'north'; allowed: LiDAR",
         ("--axes", "xyz"): "--axes: is 'xyz'",
         ("--sensor", "RS-16"): "on the rings of RS-32, not on those of RS-16",
         ("--origin", "0", "0", "nan"): "--origin",

@@ -21,6 +21,7 @@ from blender_lidar.clouds.points import read_points
 from blender_lidar.compiled import numba_works
 from blender_lidar.metrics import view_grids
 from blender_lidar.metrics.vgop import entropy, occupancy, pe_vgop, to_vehicle_frame
+from blender_lidar.names import THE_LIDAR
 from blender_lidar.scene.observation import Observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.sensors.beams import beam_lattice
@@ -374,9 +375,9 @@ def test_two_equal_lidars_in_one_place_occupy_what_one_does():
 
 
 def test_lidars_with_one_seed_and_other_names_draw_apart_and_of_their_own():
-    """The unnamed one of [sensor] draws as it did before LiDARs had names."""
+    """That of [sensor] draws as it did before LiDARs had names."""
     rough = Imperfections(0.05, 0.2, seed=5)
-    lidars = [Lidar(LATTICES["RS-16"], 50.0, 0.4, rough, name) for name in ("", "north", "south")]
+    lidars = [Lidar(LATTICES["RS-16"], 50.0, 0.4, rough, name) for name in (THE_LIDAR, "north", "south")]
     noise = [lidar.measurement(7).noise_m for lidar in lidars]
     np.testing.assert_array_equal(noise[0], rough.measurement(LATTICES["RS-16"], 7, 0.4, 50.0).noise_m)
     assert all((one != other).mean() > 0.99 for one, other in itertools.combinations(noise, 2))
