@@ -140,8 +140,8 @@ class _Heard:
         self._points, known = 0, np.isfinite(search.best_value)
         if known and (search.is_final, search.best_value) > self._best:
             self.best_x, self._best = search.best_x, (search.is_final, search.best_value)
-        elif isinstance(search, MultiFidelitySearch) and search.evaluations:
-            self.best_x = search.best_screened_x
+        elif not np.isfinite(self._best[1]) and search.evaluations:  # at a coarse fidelity
+            self.best_x = search.best_x
         self._call(search.evaluations, search.budget, self._metric.total(search.best_value) if known else "")
         if self._bar is not None:
             self._bar.searching(search)

@@ -73,6 +73,20 @@ def test_of_two_peaks_far_apart_the_higher_is_found_though_few_beams_prefer_the_
     assert sum(found) >= 8  # the screen itself may not come near it
 
 
+def test_before_the_climb_the_best_is_of_the_screening_and_nothing_is_recorded():
+    search = made_search(frames=1)
+    while search.spent[1]["candidates"] == 0 and isinstance(asked := search.ask(), Asked):
+        assert asked.frames == (0,)
+        search.tell(objective(asked))
+        assert search.best_x.shape == (2,)
+        assert search.history.shape == (0, 7)
+        assert search.best_value == -np.inf
+    screened = search.best_x
+    climbed = run(search)
+    assert objective(climbed.best_x[None])[0] >= objective(screened[None])[0]
+    assert climbed.history.shape == (climbed.spent[1]["candidates"], 7)
+
+
 def test_what_is_recorded_has_met_every_frame_with_all_beams():
     history = run(made_search(), bias=0.2).history
     np.testing.assert_allclose(history[:, -2], objective(history[:, 3:-2], 0.2), rtol=1e-12)

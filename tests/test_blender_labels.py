@@ -106,15 +106,20 @@ def test_kinds_come_from_a_property_or_a_name_of_the_object_or_else_of_its_colle
     inner["kind"] = "Building"
     standing(scene, "Oak", white, into=trees)
     standing(scene, "House", white, pane, slots=np.array([0, 1]), into=inner)
+    hedges, bower = (bpy.data.collections.new(name) for name in ("vegetations.002", "Buildings.002"))
+    scene.collection.children.link(hedges)  # holds as many objects as the one in it
+    hedges.children.link(bower)
+    standing(scene, "Bower", white, into=bower)
     standing(scene, "Kiosk", into=trees)["kind"] = "structure"
     standing(scene, "buildings.002")
     standing(scene, "Sign", white)["kind"] = "traffic sign"
     bpy.data.libraries.write(str(tmp_path / "site.blend"), {scene}, fake_user=True)
     kinds = {"Oak": [VEGETATION] * 2, "House": [BUILDING, GLASS], "Kiosk": [STRUCTURE] * 2, "Sign": [OWN_SURFACE] * 2}
-    kinds["buildings.002"] = [BUILDING] * 2
+    kinds |= {"buildings.002": [BUILDING] * 2, "Bower": [BUILDING] * 2}
     reflects = {
         "Oak": [0.8] * 2,
         "House": [0.8, 0.1],
+        "Bower": [0.8] * 2,
         "Kiosk": [0.3] * 2,
         "Sign": [0.8] * 2,
         "buildings.002": [0.3] * 2,

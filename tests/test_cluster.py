@@ -24,7 +24,7 @@ from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring import cluster as cluster_module
 from blender_lidar.scoring.cluster import ClusterWorkers
-from blender_lidar.scoring.evaluation import Evaluator
+from blender_lidar.scoring.evaluation import Evaluator, Workplace
 from blender_lidar.studies.driver import HELD_OUT, Job, landscapes
 from blender_lidar.studies.variations import metric_variations
 from tests.local_cluster import ROOT, LocalCluster
@@ -133,7 +133,7 @@ def test_a_run_comes_to_the_same_to_the_last_digit_here_and_on_a_cluster(cluster
 def test_scores_are_the_same_bits_with_trees_new_and_kept_and_nothing_is_left_behind(cluster):
     with Evaluator(FRAMES, SEEN_HERE, SCORING) as here:
         alone = here.totals(LAYOUTS)
-    with Evaluator(FRAMES, SEEN_HERE, SCORING, cluster=cluster.address) as evaluator:
+    with Evaluator(FRAMES, SEEN_HERE, SCORING, Workplace(cluster=cluster.address)) as evaluator:
         for _ in range(3):
             for mine, theirs in zip(evaluator.totals(LAYOUTS), alone, strict=True):
                 assert mine.dtype == theirs.dtype
@@ -141,7 +141,7 @@ def test_scores_are_the_same_bits_with_trees_new_and_kept_and_nothing_is_left_be
         np.testing.assert_array_equal(evaluator.totals(LAYOUTS[:1]).objective, alone.objective[:1])
         wait_for(lambda: kept(cluster).count("loads") == 2)
     wait_for(lambda: not kept(cluster))
-    with Evaluator([], SEEN_HERE, SCORING, cluster=cluster.address) as evaluator:
+    with Evaluator([], SEEN_HERE, SCORING, Workplace(cluster=cluster.address)) as evaluator:
         assert evaluator.totals(LAYOUTS).objective.shape == (3, 0)
 
 

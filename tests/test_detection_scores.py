@@ -76,6 +76,14 @@ def test_the_surest_takes_the_nearest_vehicle_and_the_next_one_is_a_false_alarm(
     assert found.found.tolist() == [0.9, MISSED]
 
 
+def test_a_frame_that_does_not_say_which_vehicles_count_counts_all():
+    boxes, frame = boxes_at([(0.5, 0), (20, 0)], [0.5, 0.9]), frame_of([(0, 0), (-30, 0)])
+    for kind in (None, 0, 1):
+        said, not_said = (matched(boxes, one, kind=kind) for one in (frame, replace(frame, counted=None)))
+        np.testing.assert_array_equal(said.found, not_said.found)
+        np.testing.assert_array_equal(said.hit, not_said.hit)
+
+
 def test_a_detection_goes_to_the_nearest_vehicle_that_no_surer_one_has():
     found = matched(boxes_at([(0.2, 0), (0.4, 0)], [0.9, 0.8]), frame_of([(0, 0), (1.8, 0)]))
     assert found.hit.all()

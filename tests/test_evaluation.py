@@ -28,7 +28,7 @@ from blender_lidar.run.verdict import judge
 from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.settings import ModelSettings
-from blender_lidar.scoring.evaluation import Evaluator, Totals, mapped_by, workplace_of
+from blender_lidar.scoring.evaluation import Evaluator, Totals, Workplace, mapped_by, workplace_of
 from blender_lidar.scoring.fidelity import Fidelity, coarse_observation
 from blender_lidar.scoring.frame_scorer import FrameScorer, singles
 from blender_lidar.scoring.workers import MappedWorkers, Workers
@@ -62,7 +62,7 @@ def alone() -> Totals:
 
 @pytest.fixture(scope="module")
 def pair():
-    with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
+    with Evaluator(FRAMES, SEEN, SCORING, Workplace(2)) as evaluator:
         yield evaluator
 
 
@@ -78,7 +78,7 @@ def test_any_map_gives_the_same_bits(alone):
     with mapped_by(map), Evaluator(FRAMES[:1], SEEN, SCORING) as evaluator:
         assert isinstance(workplace_of(ModelSettings()).employ(abs, 1), MappedWorkers)
         assert isinstance(evaluator.workers, Workers)  # unless it is asked for
-    with ThreadPoolExecutor(3) as pool, Evaluator(FRAMES, SEEN, SCORING, workers=pool.map) as evaluator:
+    with ThreadPoolExecutor(3) as pool, Evaluator(FRAMES, SEEN, SCORING, Workplace(mapping=pool.map)) as evaluator:
         for _ in range(2):
             for mine, theirs in zip(evaluator.totals(LAYOUTS), alone, strict=True):
                 assert mine.tobytes() == theirs.tobytes()
@@ -112,7 +112,7 @@ def test_one_worker_and_two_give_the_same_bits_with_every_caster(caster):
         pytest.skip(f"the library of {caster} is not installed")
     found = []
     for workers in (1, 2):
-        with Evaluator(FRAMES, replace(SEEN, caster=caster), SCORING, workers=workers) as evaluator:
+        with Evaluator(FRAMES, replace(SEEN, caster=caster), SCORING, Workplace(workers)) as evaluator:
             found.append(evaluator.totals(LAYOUTS).objective.tobytes())
     assert found[0] == found[1]
 
@@ -160,10 +160,21 @@ def test_the_reading_the_threshold_the_view_and_the_loss_reach_the_score(alone):
     assert (objective(threshold=0.0).detectable == alone.vehicles).all()
 
 
+def test_a_frame_that_does_not_say_which_vehicles_count_counts_all():
+    every = [replace(frame, counted=np.ones(len(frame), dtype=bool)) for frame in FRAMES[:2]]
+    with (
+        Evaluator(every, SEEN, SCORING) as said,
+        Evaluator([replace(f, counted=None) for f in every], SEEN, SCORING) as not_said,
+    ):
+        np.testing.assert_array_equal(said.vehicles, not_said.vehicles)
+        np.testing.assert_array_equal(said.weight, not_said.weight)
+        np.testing.assert_array_equal(said.totals(LAYOUTS).objective, not_said.totals(LAYOUTS).objective)
+
+
 def test_more_workers_than_frames_and_no_frames_are_fine():
-    with Evaluator(FRAMES[:1], SEEN, SCORING, workers=8) as evaluator:
+    with Evaluator(FRAMES[:1], SEEN, SCORING, Workplace(8)) as evaluator:
         assert evaluator.totals(LAYOUTS).objective.shape == (3, 1)
-    with Evaluator([], SEEN, SCORING, workers=2) as evaluator:
+    with Evaluator([], SEEN, SCORING, Workplace(2)) as evaluator:
         assert evaluator.totals(LAYOUTS).objective.shape == (3, 0)
     nothing = replace(FRAMES[0], counted=np.zeros(len(FRAMES[0]), dtype=bool))
     with Evaluator([nothing, FRAMES[0]], SEEN, SCORING) as evaluator:
@@ -179,7 +190,7 @@ def leaves_ctrl_c_alone(process):
 
 def stop_while_working(children):
     """What Ctrl-C does: a terminal sends SIGINT to the parent and to its children."""
-    with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
+    with Evaluator(FRAMES, SEEN, SCORING, Workplace(2)) as evaluator:
         evaluator.workers.await_ready()
         children += multiprocessing.active_children()
         assert all(map(leaves_ctrl_c_alone, children))
@@ -203,7 +214,7 @@ def test_ctrl_c_while_the_workers_end_waits_until_they_have(monkeypatch):
     """As when it is pressed twice: the first ends the search, the second comes while workers finish what they do."""
     before = set(multiprocessing.active_children())
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)
-    evaluator = Evaluator(FRAMES, SEEN, SCORING, workers=3).__enter__()
+    evaluator = Evaluator(FRAMES, SEEN, SCORING, Workplace(3)).__enter__()
     evaluator.workers.await_ready()
     children = set(multiprocessing.active_children()) - before
     executor = evaluator.workers._executor
@@ -234,7 +245,7 @@ def totals_until_refused(evaluator):
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="has no SIGKILL")
 def test_a_worker_that_is_killed_is_one_line():
     before = set(multiprocessing.active_children())
-    with Evaluator(FRAMES, SEEN, SCORING, workers=3) as evaluator:
+    with Evaluator(FRAMES, SEEN, SCORING, Workplace(3)) as evaluator:
         evaluator.workers.await_ready()
         children = set(multiprocessing.active_children()) - before
         os.kill(next(iter(children)).pid, signal.SIGKILL)
@@ -248,7 +259,7 @@ def program(body):
     """Another Python on its standard input: what it says, line by line, is read with `.stdout`."""
     head = """
         from blender_lidar.errors import WorkerError
-        from blender_lidar.scoring.evaluation import Evaluator
+        from blender_lidar.scoring.evaluation import Evaluator, Workplace
         from tests.test_evaluation import FRAMES, SCORING, SEEN, counted_frames
         """
     return textwrap.dedent(head) + textwrap.dedent(body)
@@ -265,7 +276,7 @@ def test_a_system_that_lets_only_some_workers_start_is_an_error_and_no_hang(monk
 
     monkeypatch.setattr(SpawnProcess, "start", start_one)
     with pytest.raises(WorkerError, match="3 worker processes cannot be started: Resource temporarily unavailable"):
-        Evaluator(FRAMES, SEEN, SCORING, workers=4).__enter__()
+        Evaluator(FRAMES, SEEN, SCORING, Workplace(4)).__enter__()
     assert len(started) == 1
     assert not set(multiprocessing.active_children()) - before
 
@@ -273,12 +284,12 @@ def test_a_system_that_lets_only_some_workers_start_is_an_error_and_no_hang(monk
 def test_nothing_stays_of_what_workers_read_when_they_start_nor_of_workers_that_were_starting(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     before = set(multiprocessing.active_children())
-    with Evaluator(FRAMES, SEEN, SCORING, workers=3):
+    with Evaluator(FRAMES, SEEN, SCORING, Workplace(3)):
         children = set(multiprocessing.active_children()) - before
     assert len(children) == 2
     assert not any(child.is_alive() for child in children)
     assert not list(tmp_path.iterdir())
-    with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
+    with Evaluator(FRAMES, SEEN, SCORING, Workplace(2)) as evaluator:
         assert len(list(tmp_path.glob("blender_lidar-*"))) == 1
         evaluator.workers.await_ready()
         assert not list(tmp_path.glob("blender_lidar-*"))
@@ -292,7 +303,7 @@ def test_workers_start_from_a_program_that_has_imported_bpy(tmp_path):
         import sys
         if __name__ == "__main__":
             before = list(sys.path)
-            with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
+            with Evaluator(FRAMES, SEEN, SCORING, Workplace(2)) as evaluator:
                 evaluator.workers.await_ready()
                 print("started", sys.path == before)
         """
@@ -308,7 +319,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
     body = """
         import multiprocessing, time
         if __name__ == "__main__":
-            with Evaluator(FRAMES, SEEN, SCORING, workers=3):
+            with Evaluator(FRAMES, SEEN, SCORING, Workplace(3)):
                 print(*(child.pid for child in multiprocessing.active_children()), flush=True)
                 time.sleep(600)
         """
@@ -330,7 +341,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
 def test_nobody_waits_for_workers_that_are_starting(alone):
     """The start of another process takes a second, and this one can do the work meanwhile."""
     before = set(multiprocessing.active_children())
-    with Evaluator(FRAMES, SEEN, SCORING, workers=2) as evaluator:
+    with Evaluator(FRAMES, SEEN, SCORING, Workplace(2)) as evaluator:
         (child,) = set(multiprocessing.active_children()) - before
         os.kill(child.pid, signal.SIGSTOP)  # it will never come
         try:
@@ -351,7 +362,7 @@ def is_running(process_id):
 def test_starting_workers_leaves_the_environment_as_it_was(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    with Evaluator(FRAMES, SEEN, SCORING, workers=2):
+    with Evaluator(FRAMES, SEEN, SCORING, Workplace(2)):
         assert os.environ["OMP_NUM_THREADS"] == "3"
         assert "OPENBLAS_NUM_THREADS" not in os.environ
 

@@ -22,7 +22,7 @@ from blender_lidar.scene.installation import (
 from blender_lidar.scene.mounting import Mast, Mounting
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
-from blender_lidar.scoring.evaluation import Evaluator, site_evaluator
+from blender_lidar.scoring.evaluation import Evaluator, Workplace, site_evaluator
 from tests.small_scene import mounting, write_scene
 
 WIDE = Installer(tilt_deg=4.0, height_m=0.3, yaw_deg=6.0)
@@ -148,7 +148,7 @@ def slow(site, frame, layouts, errors):
 def test_each_frame_is_scored_under_its_own_errors(site, workers):
     errors = latin_errors([WIDE], len(site.search), 3, [1, 1])
     layouts = [(PLAN,), (OTHER,)]
-    with Evaluator(site.search, site.observation, site.scoring, workers) as evaluator:
+    with Evaluator(site.search, site.observation, site.scoring, Workplace(workers)) as evaluator:
         totals = evaluator.under(errors).totals(layouts)
         some = evaluator.under(errors).totals(layouts, frames=[3, 1])
         planned = evaluator.totals(layouts)

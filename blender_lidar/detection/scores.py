@@ -110,7 +110,7 @@ def match(
     for boxes, frame, lidar in zip(detected, frames, lidars, strict=True):
         if kind is not None:
             boxes = boxes.select(boxes.kind == kind)
-            frame = frame.select(~frame.counted | (frame.kind == kind))
+            frame = frame.select(~frame.counts | (frame.kind == kind))
         parts.append(_matched(boxes, frame, region, lidar, criterion))
     of_frame = np.arange(len(frames))
     detections, found = (
@@ -137,7 +137,7 @@ def _matched(boxes: Boxes, vehicles: Boxes, region: Region, lidar_xy, criterion)
     hit, found = met >= 0, np.full(len(vehicles), MISSED)
     found[met[hit]], away[hit] = boxes.confidence[hit], distance[met[hit]]
     detections = np.column_stack([boxes.confidence, hit, away])[~ignored]
-    return detections, np.column_stack([found, distance])[vehicles.counted]
+    return detections, np.column_stack([found, distance])[vehicles.counts]
 
 
 def meetings(boxes: Boxes, vehicles: Boxes, region: Region, criterion: Criterion) -> tuple[np.ndarray, np.ndarray]:
@@ -146,7 +146,7 @@ def meetings(boxes: Boxes, vehicles: Boxes, region: Region, criterion: Criterion
     Those that count and are no hit are false alarms. The arguments are as for `match`.
     """
     merit = criterion.merit(boxes, vehicles)
-    free, met = vehicles.counted.copy(), np.full(len(boxes), -1)
+    free, met = vehicles.counts.copy(), np.full(len(boxes), -1)
     ignored = ~region.holds(boxes)
     for row in np.argsort(-boxes.confidence, kind="stable"):
         left = np.where(free, merit[row], -np.inf)
@@ -154,7 +154,7 @@ def meetings(boxes: Boxes, vehicles: Boxes, region: Region, criterion: Criterion
             met[row] = left.argmax()
             free[met[row]] = False
         else:
-            ignored[row] |= (merit[row][~vehicles.counted] > -np.inf).any()
+            ignored[row] |= (merit[row][~vehicles.counts] > -np.inf).any()
     return met, ignored & (met < 0)
 
 

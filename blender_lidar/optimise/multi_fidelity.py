@@ -80,23 +80,20 @@ class MultiFidelitySearch:
 
     @property
     def best_x(self) -> np.ndarray:
-        """The best candidate of the climb, (d,), once there is one; the first of equals."""
-        return self._climb.best_x
+        """The best candidate, (d,), of the climb, or of the screening before it has one; the first of equals."""
+        if self._climb is not None and self._climb.evaluations:
+            return self._climb.best_x
+        return max(self._screens, key=lambda search: search.best_value).best_x
 
     @property
     def best_value(self) -> float:
-        """Its value; ``-inf`` before there is one."""
+        """The best value of the climb, at the full fidelity; ``-inf`` before there is one."""
         return -math.inf if self._climb is None else self._climb.best_value
-
-    @property
-    def best_screened_x(self) -> np.ndarray:
-        """The best candidate of the screening so far, (d,), which the first batch makes known."""
-        return max(self._screens, key=lambda search: search.best_value).best_x
 
     @property
     def history(self) -> np.ndarray:
         """Of the climb, as `Search.history`."""
-        return self._climb.history
+        return self._screens[0].history[:0] if self._climb is None else self._climb.history
 
     def ask(self) -> Asked | np.ndarray:
         """What to score next: candidates at the coarse fidelity, or at the full one (s, d); the same if asked again."""

@@ -111,7 +111,7 @@ def evaluate_site(site: Site, folder: RunFolder, layout: Layout, pole: Pole | No
         return _conclude(site, folder, evaluator, started, SearchOutcome(layouts, spaces=none, maps=none), pole=pole)
 
 
-def rung_costs(site: Site, search: MultiFidelitySearch) -> list[dict[str, object]]:
+def stage_costs(site: Site, search: MultiFidelitySearch) -> list[dict[str, object]]:
     """What each stage has taken, for result.json: detail, stride, frames, candidates, casts of a frame, seconds."""
     stages = (search.fidelity, len(search.frames)), (Fidelity(site.observation.detail), len(site.search))
     return [
@@ -194,7 +194,7 @@ def _conclude(
         scores["objective_per_vehicle_as_searched"] = as_searched[name]
     held_out = verdict["optimised"]["holdout"] is not None
     lidars = _lidar_rows(site, evaluator, found, objective, as_searched, gains if held_out else None)
-    rungs = [rung_costs(site, search) for search in searches if isinstance(search, MultiFidelitySearch)]
+    rungs = [stage_costs(site, search) for search in searches if isinstance(search, MultiFidelitySearch)]
     result = {
         "schema": RUN_SCHEMA,
         "scene": Path(scenario.source).name,

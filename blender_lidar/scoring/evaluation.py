@@ -150,10 +150,8 @@ class Evaluator:
         Sensor, range, caster and detail.
     scoring : Scoring
         The metric and the settings of Eqs. 10 and 11.
-    workers : int or callable
-        Processes, this one among them; or any `map`, as of `mapped_by`.
-    cluster : str, optional
-        Address of a dask scheduler, whose workers are used instead.
+    place : Workplace
+        Where the work is done: in this process alone unless said.
     held_out : sequence of Boxes
         Further frames for the same processes, scored apart: by `held_out`.
 
@@ -172,8 +170,7 @@ class Evaluator:
         frames: Sequence[Boxes],
         observation: Observation,
         scoring: Scoring,
-        workers: int | Callable = 1,
-        cluster: str | None = None,
+        place: Workplace = Workplace(),
         held_out: Sequence[Boxes] = (),
     ) -> None:
         self.frames, self._held_out, self.metric = tuple(frames), tuple(held_out), scoring.metric
@@ -182,7 +179,7 @@ class Evaluator:
         self._errors: np.ndarray | None = None
         self._turn = np.arange(len(self.frames) + len(self._held_out)) * _GOLDEN % 1.0  # of each, wherever asked for
         self._work = _Work(self.frames, self._held_out, observation, scoring)
-        self._workplace = Workplace(1, None, workers) if callable(workers) else Workplace(workers, cluster)
+        self._workplace = place
         self.workers: Workers | ClusterWorkers | MappedWorkers = Workers(self._work)
 
     def __enter__(self) -> Evaluator:
@@ -196,7 +193,7 @@ class Evaluator:
     @property
     def vehicles(self) -> np.ndarray:
         """Vehicles that count in each frame, (f,) int64."""
-        return np.array([frame.counted.sum() for frame in self.frames], dtype=np.int64)
+        return np.array([frame.counts.sum() for frame in self.frames], dtype=np.int64)
 
     @property
     def weight(self) -> np.ndarray:
@@ -318,9 +315,7 @@ def _without_returns(scored: Scored) -> Scored:
 
 def site_evaluator(site: Site, frames: Sequence[Boxes], held_out: Sequence[Boxes] = ()) -> Evaluator:
     """An evaluator of mountings on frames of a site, as its scene asks for workers."""
-    place = workplace_of(site.scenario.model)
-    workers = place.mapping or place.processes
-    return Evaluator(frames, site.observation, site.scoring, workers, place.cluster, held_out)
+    return Evaluator(frames, site.observation, site.scoring, workplace_of(site.scenario.model), held_out)
 
 
 class _Work:

@@ -57,8 +57,8 @@ class FrameShapes:
     """
 
     def __init__(self, frame: Boxes, detail: str, caster: str, bodies: OwnBodies | None = None) -> None:
-        counted = np.ones(len(frame), dtype=bool) if frame.counted is None else frame.counted
         self.frame, self.detail, self.caster = frame.frame, detail, caster
+        counted = frame.counts
         self.counted = frame.select(counted)
         own = None if bodies is None else bodies.rows(frame) >= 0
         self.own = own if own is not None and own.any() else None

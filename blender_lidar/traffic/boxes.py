@@ -108,9 +108,14 @@ class Boxes:
         return _KIND_OF_CLASS[self.class_index]
 
     @property
+    def counts(self) -> np.ndarray:
+        """Which boxes are scored, (n,) bool: `counted`, or all."""
+        return np.ones(len(self), dtype=bool) if self.counted is None else self.counted
+
+    @property
     def counted_weight(self) -> np.ndarray:
         """Weights of the boxes that count: whole numbers where all weigh one."""
-        return (np.ones(len(self), dtype=np.int64) if self.weight is None else self.weight)[self.counted]
+        return (np.ones(len(self), dtype=np.int64) if self.weight is None else self.weight)[self.counts]
 
     def columns(self) -> dict[str, np.ndarray]:
         """What there is of each row, by name."""

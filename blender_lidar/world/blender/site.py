@@ -265,7 +265,7 @@ class Kinds:
 
     def __init__(self) -> None:
         said = [(one, kind) for one in bpy.data.collections if (kind := _kind_said(one)) is not None]
-        said.sort(key=lambda one: -len(one[0].all_objects))
+        said.sort(key=lambda one: (-len(one[0].all_objects), -len(one[0].children_recursive)))
         self._kind = {item.as_pointer(): kind for one, kind in said for item in one.all_objects}
 
     def of(self, item: bpy.types.Object) -> int:
