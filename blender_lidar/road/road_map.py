@@ -61,7 +61,7 @@ class Lane(NamedTuple):
     leads_to : tuple of int
         Rows of the lanes into which it leads.
     use : str
-        Who travels on it: one of `USES`.
+        Who travels on it: vehicles, bicycles or pedestrians.
     """
 
     name: str
@@ -69,9 +69,6 @@ class Lane(NamedTuple):
     junction: str = ""
     leads_to: tuple[int, ...] = ()
     use: str = "vehicles"
-
-
-USES = ("vehicles", "bicycles", "pedestrians")
 
 
 class Junction(NamedTuple):
