@@ -14,9 +14,9 @@ from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.report.summary import answer, errors_text, judged_hung, planned_text
 from blender_lidar.run.as_hung import JUDGED_BASE
+from blender_lidar.run.comparison import Comparison
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import evaluate_site, optimise_site
-from blender_lidar.run.vehicle_table import BoxShares
 from blender_lidar.scene.deployment import HANGS, Installer
 from blender_lidar.scene.installation import installed_layout, orthogonal_errors, single_errors
 from blender_lidar.scene.scenario import load_scenario, scenario_of
@@ -218,8 +218,9 @@ def test_a_share_near_a_hundred_percent_has_as_wide_an_interval_with_a_few_insta
 
 def test_what_nine_of_ten_reach_needs_as_many_vehicles_as_an_interval():
     for vehicles, is_known in ((6, False), (12, True)):
-        table = {"vehicle_id": np.arange(vehicles), "detectable": np.arange(vehicles) % 2 == 0}
-        boxes = BoxShares(table, table, np.arange(vehicles) % 6, np.zeros(vehicles, dtype=int), 1)
+        table = {"frame": np.zeros(vehicles), "vehicle_id": np.arange(vehicles), "objective": np.zeros(vehicles)}
+        table["detectable"] = np.arange(vehicles) % 2 == 0
+        boxes = Comparison(table, table, np.arange(vehicles) % 6, np.zeros(vehicles, dtype=int), None, 1)
         assert (boxes.low_share(np.stack([table["detectable"]] * 3), 0.1) is not None) == is_known
         assert (boxes.shares()["after_interval_90"] is not None) == is_known
 

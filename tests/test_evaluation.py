@@ -23,7 +23,7 @@ import pytest
 
 from blender_lidar.casting import is_available
 from blender_lidar.errors import InputError, WorkerError
-from blender_lidar.run.vehicle_table import VEHICLE_COLUMNS, distance_bands, lanes, vehicle_table
+from blender_lidar.run.vehicle_table import VEHICLE_COLUMNS, distance_bands, lanes, vehicle_table, vehicle_tables
 from blender_lidar.run.verdict import judge
 from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.observation import Observation, Scoring
@@ -424,11 +424,15 @@ def test_a_lane_of_any_direction_is_one_until_enough_drive_against_it(axis_deg, 
 
 
 def verdict(holdout, block):
-    blocks = {"search_block": np.arange(len(FRAMES)), "holdout_block": np.array(block, dtype=np.int64)}
-    zeros = {name.replace("block", "recording"): np.zeros_like(of) for name, of in blocks.items()}
-    site = SimpleNamespace(plan=SimpleNamespace(**blocks, **zeros), scenario=SimpleNamespace(recordings=("one",)))
+    plan = {"search_block": np.arange(len(FRAMES)), "holdout_block": np.array(block, dtype=np.int64)}
+    plan |= {name.replace("block", "recording"): np.zeros_like(of) for name, of in plan.items()}
+    plan |= {"search": np.array([one.frame for one in FRAMES]), "holdout": np.array([one.frame for one in holdout])}
+    scenario = SimpleNamespace(recordings=("one",), search=SimpleNamespace(seed=1))
+    site = SimpleNamespace(plan=SimpleNamespace(**plan), scenario=scenario, scoring=SCORING, holdout=holdout)
     with Evaluator(FRAMES, SEEN, SCORING, held_out=holdout) as evaluator:
-        return judge(site, {"optimised": LAYOUTS[1], "baseline": LAYOUTS[0]}, evaluator, seed=1)
+        layouts = {"optimised": LAYOUTS[1], "baseline": LAYOUTS[0]}
+        tables = vehicle_tables(list(layouts.values()), search=evaluator, holdout=evaluator.held_out)
+        return judge(site, layouts, dict(zip(layouts, tables, strict=True)), evaluator, 1)[0]
 
 
 def test_the_verdict_is_the_gain_over_the_baseline_on_held_out_frames(alone):

@@ -10,7 +10,8 @@ import pytest
 
 from blender_lidar.commands.table import mounting_at, parse_range
 from blender_lidar.errors import InputError
-from blender_lidar.run.vehicle_table import BoxShares, vehicle_table
+from blender_lidar.run.comparison import Comparison
+from blender_lidar.run.vehicle_table import vehicle_table
 from blender_lidar.scene.mounting import changed_mounting
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare
@@ -131,9 +132,11 @@ def test_differences_of_many_cells_hold_together():
     block = np.repeat(np.arange(12), 20)
     for _ in range(40):
         cells = (rng.random((60, 240)) < 0.7).astype(float)
-        before = {"vehicle_id": np.arange(240), "detectable": cells[0]}
-        boxes = BoxShares(before, before, block, np.zeros(240, dtype=int), 1)
-        reach, gain = boxes.reach_90(cells, 7), (cells - cells[7]).mean(axis=1)
+        before = {"frame": np.zeros(240), "vehicle_id": np.arange(240), "objective": np.zeros(240)}
+        before["detectable"] = cells[0]
+        boxes = Comparison(before, before, block, np.zeros(240, dtype=int), None, 1)
+        reach = boxes.reach_90("detectable", [{"detectable": cell} for cell in cells])
+        gain = (cells - cells[0]).mean(axis=1)
         worse.append((gain + reach < 0.0).any())
-        assert reach[7] == 0.0
+        assert reach[0] == 0.0
     assert np.mean(worse) < 0.25

@@ -21,7 +21,8 @@ from ..report.summary import boxes_text, measured
 from ..report.tables import TextTable, table_text
 from ..run.as_hung import hung_scores, searching
 from ..run.assumptions import assumptions, site_name
-from ..run.vehicle_table import BoxShares, vehicle_tables
+from ..run.comparison import Comparison
+from ..run.vehicle_table import vehicle_tables
 from ..scene.deployment import SearchSpace
 from ..scene.mounting import ANGLES, LEANS, Mounting, changed_mounting, mast_at
 from ..scene.scenario import Scenario
@@ -151,12 +152,15 @@ def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> t
         tables = vehicle_tables(layouts, **{split: judging})
         scores = hung_scores(scenario, judging, layouts, singles=False)
     top, seed = int(np.argmax(worth)), scenario.search.seed if split == "holdout" else None
-    hung = np.array([one.detectable.mean(axis=0) for one in scores])
-    reach = BoxShares.of_split(tables[top], tables[top], split, site.plan, seed).reach_90(hung, top)
+    hung = [one.mean for one in scores]
+    order = np.r_[top, np.delete(np.arange(len(plans)), top)]
+    every = Comparison.of_split(tables[top], tables[top], split, site, seed)
+    reach = every.reach_90("detectable", [hung[row] for row in order])
+    reach = None if reach is None else reach[np.argsort(order)]
     cells = []
     for number, ((setback, height), (_, tilt), table) in enumerate(zip(places, plans, tables, strict=True)):
-        boxes = BoxShares.of_split(tables[top], table, split, site.plan, seed)
-        shares = boxes.with_detectable(hung[top], hung[number]).shares()
+        boxes = Comparison.of_split(tables[top], table, split, site, seed)
+        shares = boxes.with_scores(hung[top], hung[number]).shares()
         gain, ends = shares["gain"], None
         if reach is not None:  # holds for all cells together
             ends = [gain - float(reach[number]), gain + float(reach[number])]

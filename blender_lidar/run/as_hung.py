@@ -18,7 +18,7 @@ from ..scene.mounting import Layout
 from ..scene.scenario import Scenario
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
-from .vehicle_table import BoxShares
+from .comparison import Comparison
 
 SEARCHED_ERRORS = 24  # installation errors of a search, at least, however few frames it has
 FINAL_EACH = 8  # of each frame, under which the best few are compared and the best is polished
@@ -98,6 +98,11 @@ class HungScores:
     degree_off: np.ndarray
     height_off: np.ndarray
 
+    @property
+    def mean(self) -> dict[str, np.ndarray]:
+        """Means over the errors, (n,) each."""
+        return {"objective": self.objective.mean(axis=0), "detectable": self.detectable.mean(axis=0)}
+
     @staticmethod
     def chosen(several: Sequence[HungScores], of_box: np.ndarray) -> HungScores:
         """Of each box the scores of that one of several which `of_box` (n,) names."""
@@ -143,12 +148,12 @@ def hung_scores(
     ]
 
 
-def judge_as_hung(boxes: BoxShares, before: HungScores, after: HungScores) -> tuple[dict, dict]:
+def judge_as_hung(boxes: Comparison, before: HungScores, after: HungScores) -> tuple[dict, dict]:
     """Figures of the baseline and of a mounting as hung, under the same errors, as JSON holds them.
 
     Parameters
     ----------
-    boxes : BoxShares
+    boxes : Comparison
         The boxes that judge, as planned.
     before, after : HungScores
 
@@ -159,11 +164,11 @@ def judge_as_hung(boxes: BoxShares, before: HungScores, after: HungScores) -> tu
         ``nine_of_ten``, the 10 % quantile of the share over a resampled set of blocks and one error;
         ``objective_per_vehicle``. Of the mounting besides ``gain`` in detectable share over the baseline and
         ``objective_gain``, with intervals; ``worst_degree`` and ``worst_10_cm``, the least share where one tilt is off
-        by a degree, one height by 10 cm, and nothing else. Intervals are None as in `BoxShares`, and so is
+        by a degree, one height by 10 cm, and nothing else. Intervals are None as in `Comparison`, and so is
         ``nine_of_ten``.
     """
-    shares = boxes.with_detectable(*(one.detectable.mean(axis=0) for one in (before, after))).shares()
-    objective = boxes.objective_gain(*(one.objective.mean(axis=0) for one in (before, after)))
+    hung = boxes.with_scores(before.mean, after.mean)
+    shares, objective = hung.shares(), hung.objective()
     base, found = (
         {
             "detectable_share": shares[name],

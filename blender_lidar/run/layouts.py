@@ -12,8 +12,8 @@ import numpy as np
 from ..scene.mounting import Layout
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
-from .vehicle_table import BoxShares, vehicle_tables
-from .verdict import judged_row
+from .comparison import Comparison
+from .vehicle_table import vehicle_tables
 
 
 def judge_layout(
@@ -76,33 +76,28 @@ class _Judged:
         self, site: Site, judging: Evaluator, split: str, seed: int | None, layouts: Mapping[Layout, None]
     ) -> None:
         self._site, self._split, self._seed = site, split, seed
-        self._rows = {layout: row for row, layout in enumerate(layouts)}
-        self._totals = judging.totals(list(layouts))
-        self._tables = vehicle_tables(list(layouts), **{split: judging})
-        self._block, self._recording = (getattr(site.plan, f"{split}_{what}") for what in ("block", "recording"))
+        self._tables = dict(zip(layouts, vehicle_tables(list(layouts), **{split: judging}), strict=True))
 
-    def _of(self, layout: Layout):
-        row = self._rows[layout]
-        return judged_row(self._totals, row, self._block, self._recording)
-
-    def shares(self, before: Layout, after: Layout) -> BoxShares:
-        """Detectable shares of two layouts, box by box."""
-        tables = self._tables[self._rows[before]], self._tables[self._rows[after]]
-        return BoxShares.of_split(*tables, self._split, self._site.plan, self._seed)
+    def compared(self, before: Layout, after: Layout) -> Comparison:
+        """Two layouts, box by box."""
+        return Comparison.of_split(self._tables[before], self._tables[after], self._split, self._site, self._seed)
 
     def scores(self, layout: Layout) -> dict[str, object]:
         """Objective per vehicle and detectable share with its interval."""
-        shares = self.shares(layout, layout).shares()
-        interval = shares["after_interval_90"]
-        return {**self._of(layout).scores(), "detectable_share_interval_90": interval}
+        scores = self.compared(layout, layout).scores()
+        return {
+            key: scores[key] for key in ("objective_per_vehicle", "detectable_share", "detectable_share_interval_90")
+        }
 
     def gain(self, layout: Layout, before: Layout) -> dict[str, object]:
         """By how much a layout is better than another, with intervals."""
-        gain = self._of(layout).gain_over(self._of(before), self._seed or 0, "objective_gain")
-        if self._seed is None:
-            gain["interval_90"] = None
-        shares = self.shares(before, layout).shares()
-        return {**gain, "share_gain": shares["gain"], "share_gain_interval_90": shares["gain_interval_90"]}
+        scores = self.compared(before, layout).scores()
+        return {
+            "objective_gain": scores["gain_over_baseline"],
+            "interval_90": scores["interval_90"],
+            "share_gain": scores["detectable_share_gain"],
+            "share_gain_interval_90": scores["detectable_share_gain_interval_90"],
+        }
 
     def beside(self, layout: Layout, part: Layout) -> dict[str, object] | None:
         """Scores of a part of a layout, and by how much the whole is better; None of no LiDAR."""
@@ -112,10 +107,10 @@ class _Judged:
 
     def covered_by(self, alone: Sequence[Layout]) -> list[dict[str, object]]:
         """The share of boxes that at least one, two ... all LiDARs detect, each by itself."""
-        times = np.sum([self._tables[self._rows[one]]["detectable"] for one in alone], axis=0)
-        boxes, rows = self.shares(alone[0], alone[0]), []
+        times = np.sum([self._tables[one]["detectable"] for one in alone], axis=0)
+        boxes, rows = self.compared(alone[0], alone[0]), []
         for least in range(1, len(alone) + 1):
-            share = {"share": float((times >= least).mean()), "interval_90": boxes.interval_90(times >= least)}
+            share = {"share": float((times >= least).mean()), "interval_90": boxes.share_interval_90(times >= least)}
             rows.append({"lidars": least, **share})
         return rows
 

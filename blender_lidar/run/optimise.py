@@ -28,7 +28,7 @@ from .folder import CHECKPOINT, HISTORY, HISTORY_CANDIDATES, RUN_SCHEMA, RunFold
 from .layouts import judge_layout
 from .replay import Listener, Replay
 from .searches import SearchOutcome, search_layout, search_place
-from .vehicle_table import add_shares, vehicle_tables
+from .vehicle_table import vehicle_tables
 from .verdict import (
     BASELINE_NAME,
     figures_as_hung,
@@ -175,8 +175,8 @@ def _conclude(
     splits = {"search": evaluator, "holdout": evaluator.held_out}
     tables = dict(zip(layouts, vehicle_tables(list(layouts.values()), **splits), strict=True))
     folder.write_vehicles(tables["optimised"], tables[BASELINE_NAME])
-    verdict, crossed = judge(site, layouts, evaluator, seed), None
-    boxes = add_shares(site, verdict, tables, None if searches else seed)
+    (verdict, compared), crossed = judge(site, layouts, tables, evaluator, None if searches else seed), None
+    boxes = compared["optimised"]
     hung, gains = figures_as_hung(site, evaluator, layouts, of_maps, boxes)
     for name, scores in verdict.items():
         (scores["holdout"] or scores)["as_hung"] = hung[name]

@@ -10,9 +10,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..metrics.catalogue import PE_VGOP, metric_named
+from ..metrics.catalogue import PE_VGOP
 from ..metrics.vgop import entropy
-from ..optimise import vehicle_score
 from ..road.road_map import RoadMap
 from ..scene.mounting import Layout
 from ..scene.observation import first_zone
@@ -20,18 +19,7 @@ from ..scene.settings import ObjectiveSettings
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..scoring.scores import Scored
-from ..statistics import (
-    FEW_VEHICLES,
-    block_sums,
-    drawn_blocks,
-    many_to_one_reach_90,
-    of_blocks,
-    share_gain_interval_90,
-    share_interval_90,
-    statistic_interval_90,
-)
 from ..traffic.boxes import WAY_COLUMNS, Boxes
-from ..traffic.frames import FramePlan
 
 VEHICLE_COLUMNS = (
     "frame",
@@ -218,176 +206,19 @@ def zones(table: Mapping[str, np.ndarray], objective: ObjectiveSettings) -> list
 _SAME_PLACE_M = 1.0  # of distances, between two mounts that stand in one place
 
 
-class BoxShares:
-    """Detectable shares with intervals and objective of the boxes of one split, before (the baseline) and after.
+def groups_of(before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], site: Site) -> list[tuple]:
+    """Groups of boxes of vehicle tables of two mountings: what they are by, the name, and the rows that each holds.
 
-    Parameters
-    ----------
-    before, after : mapping of str to ndarray, (n,)
-        Vehicle tables of the baseline and of a mounting.
-    block, recording : ndarray of int, (n,)
-        Block of time and recording of each row.
-    seed : int or None
-        For the resampling of blocks; None where these boxes have chosen the mounting, and no interval is given.
+    By distance, lane, class, zone, approach and movement, as far as the site has them.
     """
-
-    def __init__(
-        self, before: Mapping, after: Mapping, block: np.ndarray, recording: np.ndarray, seed: int | None
-    ) -> None:
-        self.before, self.after, self.block, self.recording, self._seed = before, after, block, recording, seed
-
-    @classmethod
-    def of_split(cls, before: Mapping, after: Mapping, split: str, plan: FramePlan, seed: int | None) -> BoxShares:
-        """That of the frames of a split, ``"search"`` or ``"holdout"``, of a plan."""
-        before, after = (
-            {key: values[table["split"] == split] for key, values in table.items()} for table in (before, after)
-        )
-        frame, block, recording = (getattr(plan, f"{split}{what}") for what in ("", "_block", "_recording"))
-        at = np.searchsorted(frame, before["frame"])
-        return cls(before, after, block[at], recording[at], seed)
-
-    def shares(self, rows: np.ndarray | slice = slice(None)) -> dict[str, object]:
-        """Detectable shares of some rows before and after, their difference, and 90 % intervals, as JSON holds them."""
-        vehicle, block, recording = self.before["vehicle_id"][rows], self.block[rows], self.recording[rows]
-        before, after = self.before["detectable"][rows], self.after["detectable"][rows]
-        ends, of = [None] * 3, (vehicle, block, self._seed, recording)
-        if self._seed is not None:
-            ends = [share_interval_90(before, *of), share_interval_90(after, *of)]
-            ends.append(share_gain_interval_90(before, after, *of))
-        before_90, after_90, gain_90 = (pair and list(pair) for pair in ends)
-        return {
-            "boxes": len(vehicle),
-            "distinct_vehicles": len(np.unique(vehicle)),
-            "before": float(before.mean()),
-            "before_interval_90": before_90,
-            "after": float(after.mean()),
-            "after_interval_90": after_90,
-            "gain": float(after.mean() - before.mean()),
-            "gain_interval_90": gain_90,
-        }
-
-    def interval_90(self, flags: np.ndarray) -> list[float] | None:
-        """90 % interval of the share of boxes with a flag, (n,) bool."""
-        if self._seed is None:
-            return None
-        ends = share_interval_90(flags, self.before["vehicle_id"], self.block, self._seed, self.recording)
-        return ends and list(ends)
-
-    def with_detectable(self, before: np.ndarray, after: np.ndarray) -> BoxShares:
-        """The same boxes with other `detectable`, (n,) each: shares of installations, 0 to 1."""
-        tables = {**self.before, "detectable": before}, {**self.after, "detectable": after}
-        return BoxShares(*tables, self.block, self.recording, self._seed)
-
-    def reach_90(self, detectable: np.ndarray, first: int) -> np.ndarray | None:
-        """Half the simultaneous 90 % intervals of k detectable shares less that of a `first`: see
-        `many_to_one_reach_90`.
-
-        `detectable` (k, n) is that of the boxes under k mountings; None where there is no interval.
-        """
-        if self._seed is None or len(np.unique(self.before["vehicle_id"])) < FEW_VEHICLES:
-            return None
-        order = np.r_[first, np.delete(np.arange(len(detectable)), first)]
-        boxes, strata = block_sums(np.ones(len(self.block)), self.block), of_blocks(self.recording, self.block)
-        reach = many_to_one_reach_90(block_sums(detectable[order], self.block), boxes, self._seed, strata)
-        return None if reach is None else reach[np.argsort(order)]
-
-    def low_share(self, detectable: np.ndarray, share: float) -> float | None:
-        """Quantile of the detectable share over a resampled set of blocks and one of equally likely installations.
-
-        `detectable` (m, n) is that of m installations, `share` which quantile; None where there is no interval.
-        """
-        if self._seed is None or len(np.unique(self.before["vehicle_id"])) < FEW_VEHICLES:
-            return None
-        boxes, strata = block_sums(np.ones(len(self.block)), self.block), of_blocks(self.recording, self.block)
-        if (drawn := drawn_blocks(boxes, self._seed, strata)) is None:
-            return None
-        _, weights, _ = drawn
-        hits = block_sums(detectable, self.block)
-        shares = np.einsum("rb,mb->rm", weights, hits) / (weights @ boxes)[:, None]
-        return float(np.quantile(shares, share))
-
-    def objective_gain(self, before: np.ndarray, after: np.ndarray) -> dict[str, object]:
-        """Objective per vehicle of two mountings, from those of boxes (n,), their difference and its 90 % interval."""
-        sums = [block_sums(values, self.block) for values in (before, after)]
-        weight = block_sums(vehicle_weight(self.before), self.block)
-        values = [float(one.sum() / weight.sum()) for one in sums]
-        ends = None
-        if self._seed is not None:
-            strata = of_blocks(self.recording, self.block)
-            lost = sums[1] - sums[0]
-            ends = statistic_interval_90(lambda of: (of @ lost) / (of @ weight), weight, self._seed, strata)
-        gain = {"gain": values[1] - values[0], "gain_interval_90": ends and list(ends)}
-        return {**dict(zip(("before", "after"), values, strict=True)), **gain}
-
-    def share_scores(self, rows: np.ndarray | slice = slice(None)) -> dict[str, object]:
-        """The same of the mounting beside the baseline, by the names that result.json has beside other scores."""
-        shares = self.shares(rows)
-        named = {f"detectable_share_{key}": shares[key] for key in ("gain", "gain_interval_90")}
-        named["detectable_share_interval_90"] = shares["after_interval_90"]
-        return {key: shares[key] for key in ("boxes", "distinct_vehicles")} | named
-
-    def groups(self, site: Site) -> list[dict[str, object]]:
-        """`shares` of each group: ``by``, ``name``, and the objective per vehicle.
-
-        By distance, lane, class, zone, approach and movement, as far as the site has them.
-        """
-        metric, objective = metric_named(site.scoring.metric), site.scenario.objective
-        weight, rows = vehicle_weight(self.before), []
-        scores = [
-            vehicle_score(
-                metric.merit(metric_values(table)), table["detectable"], site.scoring.loss, site.scoring.reading
-            )
-            for table in (self.before, self.after)
-        ]
-        apart = np.abs(self.before["distance_m"] - self.after["distance_m"]).max(initial=0.0)
-        distance = "distance" if apart <= _SAME_PLACE_M else "distance from the baseline"
-        found = {distance: distance_bands(self.before), "lane": lanes(self.before), "class": classes(self.before)}
-        found["zone"] = zones(self.before, objective) if objective.zones else []
-        if APPROACH in self.before:
-            if any(self.before[WAY_COLUMNS[-1]]):
-                found["lane"] = _map_lanes(self.before, site.scenario.road_map)
-            found |= {APPROACH: approaches(self.before), MOVEMENT: movements(self.before)}
-        if "lane" in found and not self.before["lane"].any() and APPROACH not in self.before:
-            del found["lane"]
-        for by, groups in found.items():
-            for name, chosen in groups:
-                of = weight[chosen]
-                means = [float(np.average(score[chosen], weights=of)) if of.any() else None for score in scores]
-                mean = dict(zip(("objective_before", "objective_after"), means, strict=True))
-                rows.append({"by": by, "name": name, **self.shares(chosen), **mean})
-        return rows
-
-
-def add_shares(site: Site, verdict: Mapping[str, dict], tables: Mapping[str, Mapping], seed: int | None) -> BoxShares:
-    """Add to what `judge` says of each mounting its boxes, vehicles and detectable share with intervals.
-
-    Parameters
-    ----------
-    verdict : mapping
-        Of `run.verdict.judge`, which is added to.
-    tables : mapping
-        Of each mounting its vehicle table.
-    seed : int or None
-        Of the searched frames, None where they have chosen a mounting; held-out ones take the scene's.
-
-    Returns
-    -------
-    BoxShares
-        Of the mounting on the frames that judge it.
-    """
-    held_out, shares_of = verdict["optimised"]["holdout"] is not None, {}
-    for name, scores in verdict.items():
-        for split, of, by in (("search", scores, seed), ("holdout", scores["holdout"], site.scenario.search.seed)):
-            if of is None:
-                continue
-            judged = BoxShares.of_split(tables["baseline"], tables[name], split, site.plan, by)
-            shares_of[name, split] = judged
-            rows = [(of, slice(None))]
-            for number, row in enumerate(scores.get("recordings", ())):
-                rows.append((row if split == "search" else row["holdout"], judged.recording == number))
-            for scored, chosen in rows:
-                if scored is not None:
-                    scored |= judged.share_scores(chosen)
-                    if name == "baseline" and scored["detectable_share_interval_90"]:  # it gains nothing over itself
-                        scored["detectable_share_gain_interval_90"] = [0.0, 0.0]
-    return shares_of["optimised", "holdout" if held_out else "search"]
+    apart, objective = np.abs(before["distance_m"] - after["distance_m"]).max(initial=0.0), site.scenario.objective
+    distance = "distance" if apart <= _SAME_PLACE_M else "distance from the baseline"
+    found = {distance: distance_bands(before), "lane": lanes(before), "class": classes(before)}
+    found["zone"] = zones(before, objective) if objective.zones else []
+    if APPROACH in before:
+        if any(before[WAY_COLUMNS[-1]]):
+            found["lane"] = _map_lanes(before, site.scenario.road_map)
+        found |= {APPROACH: approaches(before), MOVEMENT: movements(before)}
+    if "lane" in found and not before["lane"].any() and APPROACH not in before:
+        del found["lane"]
+    return [(by, name, rows) for by, groups in found.items() for name, rows in groups]

@@ -15,145 +15,79 @@ from ..metrics.vehicle_metrics import TIE_BREAKER
 from ..scene.deployment import SearchSpace
 from ..scene.mounting import Layout
 from ..scene.site import Site
-from ..scoring.evaluation import Evaluator, Totals
-from ..statistics import (
-    block_sums,
-    drawn_blocks,
-    interval_90,
-    many_to_one_reach_90,
-    of_blocks,
-    statistic_interval_90,
-)
+from ..scoring.evaluation import Evaluator
+from ..statistics import block_sums, drawn_blocks, interval_90, of_blocks
 from .as_hung import HungObjective, HungScores, hung_scores, judge_as_hung
-from .vehicle_table import BoxShares, vehicle_tables, vehicle_weight
+from .comparison import Comparison
+from .vehicle_table import vehicle_tables
 
 REGION_SHARE = 0.01  # mountings that lose at most this share of the gain are as good
 BASELINE_NAME = "baseline"
 
-# --- Scores of a mounting on some frames ------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """Scores of a mounting on some frames, as it is planned.
-
-    Attributes
-    ----------
-    totals : Totals, (1, f)
-    block : ndarray of int, (f,)
-        Block of time of each frame.
-    recording : ndarray of int, (f,), or None
-        Recording of each frame, where there are several.
-    """
-
-    totals: Totals
-    block: np.ndarray
-    recording: np.ndarray | None = None
-
-    @property
-    def per_vehicle(self) -> float:
-        """Objective per vehicle, in the metric's unit."""
-        return float(self.totals.per_vehicle()[0])
-
-    @property
-    def block_weight(self) -> np.ndarray:
-        """Weight of the vehicles of each block of time, (b,): their number where all weigh one."""
-        return block_sums(self.totals.weight, self.block)
-
-    def per_vehicle_under(self, weights: np.ndarray) -> np.ndarray:
-        """`per_vehicle` with each block of time counted `weights` (r, b) times, (r,)."""
-        sums = block_sums(self.totals.objective, self.block)
-        objective = np.einsum("rb,mb->rm", weights, sums)[:, 0]  # the same digits in any process, unlike BLAS
-        return objective / (weights @ self.block_weight)
-
-    def scores(self) -> dict[str, float]:
-        """Objective per vehicle and share of vehicles at or above the threshold, as result.json has them."""
-        share = float(self.totals.detectable_share()[0])
-        return {"objective_per_vehicle": self.per_vehicle, "detectable_share": share}
-
-    def gain_over(self, other: Judged, seed: int, called: str = "gain_over_baseline") -> dict[str, object]:
-        """Objective per vehicle over that of another mounting on the same frames, and its 90 % interval."""
-
-        def gain(weights: np.ndarray) -> np.ndarray:
-            return self.per_vehicle_under(weights) - other.per_vehicle_under(weights)
-
-        strata = None if self.recording is None else of_blocks(self.recording, self.block)
-        interval = statistic_interval_90(gain, self.block_weight, seed, strata)
-        return {called: self.per_vehicle - other.per_vehicle, "interval_90": interval and list(interval)}
-
-    def of_recording(self, number: int) -> Judged:
-        """The same on the frames of one recording."""
-        own, totals = self.recording == number, self.totals
-        objective, detectable = totals.objective[:, own], totals.detectable[:, own]
-        kept = Totals(objective, detectable, totals.vehicles[own], totals.weight[own])
-        return Judged(kept, self.block[own])
-
-
-def judged_row(totals: Totals, row: int, block: np.ndarray, recording: np.ndarray | None) -> Judged:
-    """A row of totals as the scores of one mounting."""
-    rows = slice(row, row + 1)
-    of_row = totals._replace(objective=totals.objective[rows], detectable=totals.detectable[rows])
-    return Judged(of_row, np.asarray(block), recording)
-
-
 # --- Beside the baseline: on the frames that chose a mounting, and on frames that did not -----------------------------
 
 
-def judge(site: Site, layouts: Mapping[str, Layout], evaluator: Evaluator, seed: int) -> dict[str, dict]:
+def judge(
+    site: Site,
+    layouts: Mapping[str, Layout],
+    tables: Mapping[str, Mapping[str, np.ndarray]],
+    evaluator: Evaluator,
+    seed: int | None,
+) -> tuple[dict[str, dict], dict[str, Comparison]]:
     """Scores of mountings on the searched and on the held-out frames.
 
     Parameters
     ----------
     layouts : mapping of str to Layout
         The mountings by name; one is the ``"baseline"`` that the others' gains are measured against.
+    tables : mapping of str to vehicle table
+        Of each, on both splits.
     evaluator : Evaluator
-        Scores the searched frames, and the held-out ones apart.
-    seed : int
-        For the resampling of blocks.
+        Of the searched frames, and of the held-out ones apart.
+    seed : int or None
+        For the resampling of blocks of searched frames, None where they have chosen a mounting; held-out ones take the
+        scene's.
 
     Returns
     -------
     dict
-        For each name ``objective`` and ``objective_per_vehicle`` in the metric's unit, ``detectable_share`` and
-        ``holdout`` with the same per-vehicle scores, ``gain_over_baseline`` and its ``interval_90``. ``holdout`` is
-        None where nothing was held out; ``interval_90`` where there are too few blocks. ``recordings`` has the same of
-        each recording alone, where there are several.
+        For each name ``objective`` in the metric's unit and `Comparison.scores` on the searched frames, and ``holdout``
+        with the same on held-out ones; None where nothing was held out. ``recordings`` has the same of each recording
+        alone, where there are several.
+    dict of str to Comparison
+        Each mounting beside the baseline on the frames that judge it.
     """
-
-    def planned(scorer: Evaluator, block: np.ndarray, recording: np.ndarray) -> dict[str, Judged]:
-        totals = scorer.totals(list(layouts.values()))
-        return {name: judged_row(totals, row, block, recording) for row, name in enumerate(layouts)}
-
-    plan, held_out = site.plan, {}
-    searched = planned(evaluator, plan.search_block, plan.search_recording)
-    if evaluator.held_out.weight.sum():
-        held_out = planned(evaluator.held_out, plan.holdout_block, plan.holdout_recording)
-    vehicles, block = evaluator.held_out.vehicles, plan.holdout_block
-    blocks = int((block_sums(evaluator.held_out.weight, block) > 0).sum())  # an empty one tells nothing
-    size = {"vehicles": int(vehicles.sum()), "frames": len(vehicles), "blocks": blocks}
-    verdict = {}
-    for name, found in searched.items():
-        verdict[name] = {"objective": float(found.totals.objective.sum()), **found.scores(), "holdout": None}
-        if held_out:
-            judged = held_out[name]
-            verdict[name]["holdout"] = {**judged.scores(), **judged.gain_over(held_out[BASELINE_NAME], seed), **size}
+    splits = {"search": seed, "holdout": site.scenario.search.seed}
+    if not evaluator.held_out.weight.sum():
+        del splits["holdout"]
+    base, verdict, judging = tables[BASELINE_NAME], {}, {}
+    objective = dict(zip(layouts, evaluator.totals(list(layouts.values())).objective.sum(axis=1).tolist(), strict=True))
+    for name, table in tables.items():
+        compared = {split: Comparison.of_split(base, table, split, site, by) for split, by in splits.items()}
+        searched, held_out = compared["search"], compared.get("holdout")
+        verdict[name] = {"objective": objective[name], **_searched(searched), "holdout": None}
+        if held_out is not None:
+            size = {"vehicles": len(held_out.block), "frames": len(site.holdout), "blocks": held_out.blocks}
+            verdict[name]["holdout"] = {**held_out.scores(), **size}
         if len(site.scenario.recordings) > 1:
-            verdict[name]["recordings"] = _by_recording(site, name, searched, held_out, seed)
-    return verdict
+            verdict[name]["recordings"] = _by_recording(site, searched, held_out)
+        judging[name] = held_out or searched
+    return verdict, judging
 
 
-def _by_recording(
-    site: Site, name: str, searched: Mapping[str, Judged], held_out: Mapping[str, Judged], seed: int
-) -> list[dict]:
+def _searched(compared: Comparison) -> dict[str, object]:
+    """Scores on searched frames, on which no gain in the objective is told."""
+    return {key: value for key, value in compared.scores().items() if key not in ("gain_over_baseline", "interval_90")}
+
+
+def _by_recording(site: Site, searched: Comparison, held_out: Comparison | None) -> list[dict]:
     """What `judge` says of a mounting on each recording alone."""
     rows = []
     for number, settings in enumerate(site.scenario.recordings):
-        scores = searched[name].of_recording(number)
-        row = {"name": settings.name, "weight": settings.weight, **scores.scores(), "holdout": None}
-        if number in site.plan.holdout_recording:
-            own, base = (held_out[one].of_recording(number) for one in (name, BASELINE_NAME))
-            if own.totals.weight.sum():
-                row["holdout"] = {**own.scores(), **own.gain_over(base, seed)}
+        scores = _searched(searched.of(searched.recording == number))
+        row = {"name": settings.name, "weight": settings.weight, **scores, "holdout": None}
+        if held_out is not None and held_out.weight[own := held_out.recording == number].sum():
+            row["holdout"] = held_out.of(own).scores()
         rows.append(row)
     return rows
 
@@ -164,7 +98,7 @@ def judge_cross_fitted(
     layouts: Mapping[str, Layout],
     without_block: Sequence[Layout],
     tables: Mapping[str, Mapping[str, np.ndarray]],
-) -> tuple[dict[str, dict], BoxShares]:
+) -> tuple[dict[str, dict], Comparison]:
     """Cross-fitting: every block of time judges a mounting that was chosen without it (Chernozhukov et al. 2018).
 
     Held-out blocks judge the answer, and each searched block the best of the mountings that were tried without it. So
@@ -181,58 +115,32 @@ def judge_cross_fitted(
     -------
     dict
         For both names what `judge` has as ``holdout``, of all boxes that judge.
-    BoxShares
+    Comparison
         Of all boxes that judge.
     """
-    plan, seed = site.plan, site.scenario.search.seed
+    plan, seed, base = site.plan, site.scenario.search.seed, tables[BASELINE_NAME]
     distinct = list(dict.fromkeys(without_block))
     own = np.array([distinct.index(one) for one in without_block])
     of_frame = own[np.unique(plan.search_block, return_inverse=True)[1]]
-    block = np.concatenate([plan.search_block, plan.search_block.max() + 1 + plan.holdout_block])
-    recording = np.concatenate([plan.search_recording, plan.holdout_recording])
-    searched = evaluator.totals([*distinct, layouts[BASELINE_NAME]])
-    held_out = evaluator.held_out.totals([layouts["optimised"], layouts[BASELINE_NAME]])
-
-    def judged(row: np.ndarray, held: int) -> Judged:
-        at = row, np.arange(len(of_frame))
-        objective, detectable = (
-            np.concatenate([getattr(searched, name)[at], getattr(held_out, name)[held]])[None]
-            for name in ("objective", "detectable")
-        )
-        sizes = (
-            np.concatenate([getattr(one, name) for one in (searched, held_out)]) for name in ("vehicles", "weight")
-        )
-        return Judged(
-            searched._replace(
-                **dict(zip(("vehicles", "weight"), sizes, strict=True)), objective=objective, detectable=detectable
-            ),
-            block,
-            recording=recording,
-        )
-
-    mounting, base = judged(of_frame, 0), judged(np.full(len(of_frame), len(distinct)), 1)
-    found = vehicle_tables(distinct, search=evaluator)
-    at = np.searchsorted(plan.search, found[0]["frame"])
-    rows = of_frame[at], np.arange(len(at))
-    held = tables["optimised"]["split"] == "holdout"
+    chosen = vehicle_tables(distinct, search=evaluator)
+    frame = np.searchsorted(plan.search, chosen[0]["frame"])
+    rows, held = (of_frame[frame], np.arange(len(frame))), tables["optimised"]["split"] == "holdout"
     after = {
-        key: np.concatenate([np.stack([one[key] for one in found])[rows], values[held]])
+        key: np.concatenate([np.stack([one[key] for one in chosen])[rows], values[held]])
         for key, values in tables["optimised"].items()
     }
+    block = np.concatenate([plan.search_block, plan.search_block.max() + 1 + plan.holdout_block])
+    recording = np.concatenate([plan.search_recording, plan.holdout_recording])
     in_held = len(plan.search) + np.searchsorted(plan.holdout, tables["optimised"]["frame"][held])
-    of_box = np.concatenate([at, in_held])
-    shares = BoxShares(tables[BASELINE_NAME], after, block[of_box], recording[of_box], seed)
-    size = {"vehicles": len(of_box), "frames": len(block), "blocks": int((mounting.block_weight > 0).sum())}
-    hung = _hung_cross_fitted(site, evaluator, layouts, distinct, of_frame[at], shares)
-    found = shares.share_scores()
-    none = {"detectable_share_gain": 0.0, "detectable_share_gain_interval_90": [0.0, 0.0]}  # over itself
-    before = {**found, **none, "detectable_share_interval_90": shares.shares()["before_interval_90"]}
-    if found["detectable_share_gain_interval_90"] is None:
-        before["detectable_share_gain_interval_90"] = None
+    of_box = np.concatenate([frame, in_held])
+    where = block[of_box], recording[of_box], site.scoring, seed
+    compared, same = Comparison(base, after, *where), Comparison(base, base, *where)
+    size = {"vehicles": len(of_box), "frames": len(block), "blocks": compared.blocks}
+    hung = _hung_cross_fitted(site, evaluator, layouts, distinct, of_frame[frame], compared)
     return {
-        name: {**one.scores(), **one.gain_over(base, seed), **size, **own, "as_hung": hung[name]}
-        for name, one, own in (("optimised", mounting, found), (BASELINE_NAME, base, before))
-    }, shares
+        name: {**one.scores(), **size, "as_hung": hung[name]}
+        for name, one in (("optimised", compared), (BASELINE_NAME, same))
+    }, compared
 
 
 def _hung_cross_fitted(
@@ -241,7 +149,7 @@ def _hung_cross_fitted(
     layouts: Mapping[str, Layout],
     distinct: Sequence[Layout],
     of_box: np.ndarray,
-    boxes: BoxShares,
+    boxes: Comparison,
 ) -> dict[str, dict]:
     """The same as hung: of each searched box the layout of `distinct` (n,) that judges it, then the held-out boxes."""
     before, chosen = _hung(site, evaluator, {BASELINE_NAME: layouts[BASELINE_NAME], **dict(enumerate(distinct))})
@@ -258,7 +166,7 @@ def figures_as_hung(
     evaluator: Evaluator,
     layouts: Mapping[str, Layout],
     of_maps: Mapping[str, Layout],
-    boxes: BoxShares,
+    boxes: Comparison,
 ) -> tuple[dict[str, dict], dict[str, float]]:
     """Figures as hung on the frames that judge, and gains in the objective over the baseline, each by name.
 
@@ -268,10 +176,9 @@ def figures_as_hung(
     before, found = _hung(site, judging, layouts)
     base, figures = judge_as_hung(boxes, before, found["optimised"])
     gains = {"optimised": figures["objective_gain"]}
-    base_of_box = before.objective.mean(axis=0)
     best = hung_scores(site.scenario, judging, list(of_maps.values()), singles=False) if of_maps else []
     for name, one in zip(of_maps, best, strict=True):
-        gains[name] = boxes.objective_gain(base_of_box, one.objective.mean(axis=0))["gain"]
+        gains[name] = boxes.with_scores(before.mean, one.mean).objective()["gain"]
     return {BASELINE_NAME: base, "optimised": figures}, gains
 
 
@@ -335,29 +242,26 @@ def rank_places(
     return rows, int(order[0])
 
 
+_OF_A_PLACE = "objective_per_vehicle", "detectable_share", "detectable_share_interval_90"
+
+
 def _places_held_out(site: Site, judging: Evaluator, plans: Sequence[Layout]) -> list[dict] | None:
     """What `rank_places` says of each plan on held-out frames, beside the first of them."""
     if not judging.weight.sum():
         return None
-    plan, seed = site.plan, site.scenario.search.seed
+    seed = site.scenario.search.seed
     tables, hung = vehicle_tables(plans, holdout=judging), hung_scores(site.scenario, judging, plans, singles=False)
-    planned = judging.totals(plans).per_vehicle()
-    boxes = [BoxShares.of_split(tables[0], table, "holdout", plan, seed) for table in tables]
-    block, recording = boxes[0].block, boxes[0].recording
-    sums = block_sums(np.array([one.objective.mean(axis=0) for one in hung]), block)
-    weight = block_sums(vehicle_weight(tables[0]), block)
-    reach = many_to_one_reach_90(sums, weight, seed, of_blocks(recording, block))
-    values = sums.sum(axis=1) / weight.sum()
+    compared = [Comparison.of_split(tables[0], table, "holdout", site, seed) for table in tables]
+    reach = compared[0].reach_90("objective", [one.mean for one in hung])
     ties, found = 2.0 * TIE_BREAKER if metric_named(site.scoring.metric).of_share else 0.0, []
-    for rank, (shares, one) in enumerate(zip(boxes, hung, strict=True)):
-        less, off = float(values[rank] - values[0]), None if reach is None or not rank else float(reach[rank])
-        _, figures = judge_as_hung(shares, hung[0], one)
-        as_planned = shares.shares()
+    for rank, (planned, one) in enumerate(zip(compared, hung, strict=True)):
+        less = planned.with_scores(hung[0].mean, one.mean).objective()["gain"]
+        off = None if reach is None or not rank else float(reach[rank])
+        _, figures = judge_as_hung(planned, hung[0], one)
+        scores = planned.scores()
         found.append(
             {
-                "objective_per_vehicle": float(planned[rank]),
-                "detectable_share": as_planned["after"],
-                "detectable_share_interval_90": as_planned["after_interval_90"],
+                **{key: scores[key] for key in _OF_A_PLACE},
                 "as_hung": {key: figures[key] for key in ("detectable_share", "interval_90", "nine_of_ten")},
                 "difference_to_best": less,
                 "interval_90": None if off is None else [less - off, less + off],

@@ -31,7 +31,8 @@ from ..traffic.fleet import (
 )
 from ..traffic.vehicles import CLASSES, DIMENSIONS
 from .as_hung import as_planned, errors_of_frames, hung_scores, judge_as_hung, searching
-from .vehicle_table import APPROACH, BoxShares, approaches, lanes, vehicle_tables
+from .comparison import Comparison
+from .vehicle_table import APPROACH, approaches, lanes, vehicle_tables
 
 # --- Other traffic ----------------------------------------------------------------------------------------------------
 
@@ -430,6 +431,6 @@ def next_metre(site: Site, evaluator: Evaluator, space: SearchSpace, layout: Lay
     split, judging = evaluator.judging
     seed = site.scenario.search.seed if split == "holdout" else None
     both = [layout, raised[best]]
-    boxes = BoxShares.of_split(*vehicle_tables(both, **{split: judging}), split, site.plan, seed)
+    boxes = Comparison.of_split(*vehicle_tables(both, **{split: judging}), split, site, seed)
     _, found = judge_as_hung(boxes, *hung_scores(site.scenario, judging, both))
     return {"deployment": higher[best].as_table(), **as_planned(found)}

@@ -14,7 +14,8 @@ from functools import partial
 import numpy as np
 
 from ..errors import InputError
-from ..run.vehicle_table import BoxShares, vehicle_tables
+from ..run.comparison import Comparison
+from ..run.vehicle_table import vehicle_tables
 from ..scene.mounting import Layout, Mounting, hung_at
 from ..scene.site import Site
 from ..scoring.evaluation import site_evaluator
@@ -410,7 +411,7 @@ def against_plan(site: Site, layout: Layout, number: int, fit: RoadFit, *, searc
         split, judging = evaluator.judging
         tables_of = vehicle_tables([layout, tuple(others)], **{split: judging})
     seed = site.scenario.search.seed if split == "holdout" or not searched else None
-    boxes = BoxShares.of_split(*tables_of, split, site.plan, seed)
+    boxes = Comparison.of_split(*tables_of, split, site, seed)
     shares = boxes.shares()
     return {
         "planned": tables[0],
@@ -423,7 +424,7 @@ def against_plan(site: Site, layout: Layout, number: int, fit: RoadFit, *, searc
             "gain": shares["gain"],
             "interval_90": shares["gain_interval_90"],
             "held_out": split == "holdout",
-            "blocks": len(np.unique(boxes.block)),
+            "blocks": boxes.blocks,
         },
     }
 

@@ -12,6 +12,7 @@ from blender_lidar.errors import InputError
 from blender_lidar.optimise import run
 from blender_lidar.optimise.objective import vehicle_score
 from blender_lidar.run.searches import fresh_search
+from blender_lidar.run.vehicle_table import vehicle_tables
 from blender_lidar.run.verdict import AXES, ScoreMap, judge, map_scores, near_best_threshold
 from blender_lidar.scene.deployment import SearchSpace
 from blender_lidar.scene.site import Site
@@ -105,7 +106,9 @@ def judged(site: Site, mountings: Mapping[str, HeightAndTilt], seed: int) -> dic
     chosen = {**mountings, "paper": (published.height_m, published.tilt_deg)}
     layouts = {name: layout_at(site, at) for name, at in chosen.items()}
     with site_evaluator(site, site.search, site.holdout) as evaluator:
-        return judge(site, {"baseline": (site.scenario.lidar.baseline,), **layouts}, evaluator, seed)
+        layouts = {"baseline": (site.scenario.lidar.baseline,), **layouts}
+        tables = vehicle_tables(list(layouts.values()), search=evaluator, holdout=evaluator.held_out)
+        return judge(site, layouts, dict(zip(layouts, tables, strict=True)), evaluator, seed)[0]
 
 
 def near_best(found: Landscape, share: float) -> dict:
