@@ -15,11 +15,12 @@ import numpy as np
 
 from .clouds.files import LIDARS, write_cloud
 from .clouds.scan import PointCloud, class_names
-from .commands.report import outcome_text
+from .document import ANSWER, DOUBT
 from .errors import InputError, unknown_name
 from .files import write_bytes
-from .report.summary import answer, each_lidar, key_figures, warnings_text
+from .report.text import document_text
 from .run.folder import RunFolder
+from .run.words import each_lidar
 from .scene.mounting import COORDINATES
 from .scene.site import Site
 from .traffic.boxes import Boxes
@@ -35,7 +36,7 @@ def table_of(columns: Mapping[str, np.ndarray]):
 
 
 class Run(RunFolder):
-    """What a run came to; as text it is the sentence of its report, in a notebook that and its key figures.
+    """What a run came to; as text it is its answer, in a notebook a table of that.
 
     Parameters
     ----------
@@ -105,22 +106,23 @@ class Run(RunFolder):
         return Plots(self)
 
     def report(self) -> str:
-        """What the command line prints of it: the answer, what its words mean, tables, and what to be wary of."""
-        return outcome_text(self, "")
+        """All that is told of it, as ``blender-lidar report RUN --all`` prints it."""
+        return document_text(self.document, every=True)
 
     def __repr__(self) -> str:
         return f"<Run: {self}>"
 
     def __str__(self) -> str:
-        return " ".join([*warnings_text(self.result), answer(self.result)])
+        doubts = (one.text for one in self.document.of(DOUBT))
+        return " ".join([*doubts, *(f"{one.label}: {one.text}." for one in self.document.of(ANSWER, first=True))])
 
     def _repr_html_(self) -> str:
-        figures = "".join(
-            f"<tr><th>{html.escape(what)}</th><td>{html.escape(figure)}</td></tr>"
-            for what, figure in key_figures(self.result)
+        lines = "".join(
+            f"<tr><th>{html.escape(one.label)}</th><td>{html.escape(one.text)}</td></tr>"
+            for one in self.document.of(DOUBT, ANSWER, first=True)
         )
         stopped = "" if self.complete else "<p>The run was stopped; this is its best so far.</p>"
-        return f"<p>{html.escape(str(self))}</p>{stopped}<table>{figures}</table>"
+        return f"<p>{html.escape(self.document.title)}</p>{stopped}<table>{lines}</table>"
 
 
 class Picture(bytes):

@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
@@ -29,21 +29,9 @@ from ..casting import BVH, resolve
 from ..casting.instances import OwnBodies
 from ..commands.background import heard
 from ..compiled import within_blender
+from ..document import document_from
 from ..errors import InputError
-from ..metrics.catalogue import metric_named
-from ..report.summary import (
-    as_hung_word,
-    doubt,
-    each_lidar,
-    errors_text,
-    judged,
-    judged_hung,
-    leans,
-    measured,
-    mounting_text,
-    percent,
-    short_planned_text,
-)
+from ..report.text import short_lines
 from ..run.folder import RESULT
 from ..run.searches import most_evaluations
 from ..scene.mounting import ANGLES, LEANS, PLACE, mounting_from
@@ -268,7 +256,11 @@ def begin(scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object, *, alone: 
 
 def keep_result(hung: Sequence[bpy.types.Object], job: Optimisation) -> None:
     """Keep with each LiDAR of a layout what its optimisation has found."""
-    found = {"holdout": job.result["holdout"], "lines": result_lines(job.result), "places": {}}
+    found = {
+        "holdout": job.result["holdout"],
+        "lines": short_lines(document_from(job.result["document"])),
+        "places": {},
+    }
     found |= job.keep(hung[0].name if len(hung) == 1 else "layout")
     for one, row in zip(hung, job.result["lidars"], strict=True):
         before = properties.mounting_of(one).as_table()
@@ -381,25 +373,8 @@ class BLENDER_LIDAR_OT_cancel(bpy.types.Operator):
 
 
 def found_lines(lidar: bpy.types.Object) -> list[str]:
-    """What an optimisation has found: see `result_lines`."""
+    """What an optimisation has found, in short lines."""
     return found_of(lidar)["lines"]
-
-
-def result_lines(result: Mapping) -> list[str]:
-    """The mounting of a result.json, and what is detectable and gained as hung on held-out traffic, in short lines."""
-    (found, base, _), metric, lines = judged_hung(result), metric_named(result["metric"]), []
-    for name, row in each_lidar(result).items():
-        place = mounting_text(row["deployment"], leans=leans(row)).removeprefix("height ")
-        lines.append(f"{name}: {place}" if name else place)
-    lines += filter(None, [doubt(result)])
-    if judged(result)[0] is result:
-        return lines
-    if result.get("cross_fitted"):
-        lines.append("Cross-fitted: figures of the procedure.")
-    gain, within = measured(metric, found["gain_over_baseline"], found["interval_90"], "+")
-    lines.append(f"Detectable {as_hung_word(result)}{percent(found)}, baseline {percent(base)}")
-    lines += [short_planned_text(result)] if errors_text(result) else []
-    return [*lines, f"Gain {gain} {metric.shown_unit}{f' ({within})' if within else ''}, in brackets 90 %"]
 
 
 class _NeedsFound:

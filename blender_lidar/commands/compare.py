@@ -16,7 +16,7 @@ from ..errors import InputError, MissingExtraError, unknown_name
 from ..files import check_folder, check_unused, make_folder, write_columns, write_text
 from ..names import DEFAULT_CELL_M
 from ..report.compare import comparison_text, draw_comparison
-from ..report.summary import warnings_text
+from ..run.words import warnings_text
 from ..scene.provenance import versions
 from ..sensors.beams import beam_lattice
 from ..sensors.imperfections import Imperfections

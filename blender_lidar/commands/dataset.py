@@ -10,9 +10,10 @@ from pathlib import Path
 from ..detection.dataset import TRAIN, VAL, DatasetPlan, plan_dataset
 from ..detection.dataset_files import DatasetFolder
 from ..detection.judge import watched
+from ..document import as_sentence
 from ..errors import InputError
 from ..names import DATASET_LAYOUTS
-from ..report.summary import as_sentence, warnings_text
+from ..run.words import warnings_text
 from ..scene.site import Site, prepare
 from ..scoring.evaluation import workplace_of
 from .options import default_folder, options_of, scenario_from

@@ -38,15 +38,16 @@ from ..detection.stored import (
     judge_on_dataset,
     read_dataset,
 )
+from ..document import as_sentence
 from ..errors import InputError, MissingExtraError, MissingFileError
 from ..files import check_folder, check_unused, make_folder, write_text
 from ..names import VEHICLE_CLASSES
 from ..report.cloud_figures import draw_detections
 from ..report.detection import detection_table, detection_text
-from ..report.summary import as_sentence, region_text, warnings_text
-from ..report.tables import table_text
+from ..report.text import table_text
 from ..run.folder import DETECTION
 from ..run.optimise import sensors_text
+from ..run.words import region_text, warnings_text
 from ..scene.mounting import Layout
 from ..scene.provenance import versions
 from ..scene.scenario import Scenario, shipped_scenes

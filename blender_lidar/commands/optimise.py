@@ -10,15 +10,16 @@ from ..files import write_text
 from ..metrics.catalogue import metric_named
 from ..report.installation import installation_text
 from ..report.page import write_report
-from ..report.summary import each_lidar
+from ..report.text import document_text
 from ..run.folder import INSTALLATION, RunFolder, of_lidar
 from ..run.optimise import ended_search, evaluate_site, optimise_site
+from ..run.words import each_lidar
 from ..scene.scenario import Scenario
 from ..scene.site import Site, prepare
 from ..signals import stops_recognised
 from .options import default_folder, layout_from, scenario_from
 from .progress import RunProgress
-from .report import describe_site, files, note, outcome_text, say, say_result, say_stopped
+from .report import describe_site, files, note, say, say_result, say_stopped
 
 # --- Where a run's results go, and how they are printed: what the verbs that leave a folder share ------------
 
@@ -36,16 +37,12 @@ def folder_from(args: argparse.Namespace, scenario: Scenario) -> RunFolder:
     return folder
 
 
-def write_pages(site: Site, run: RunFolder, tell: Callable[[str], object]) -> list[str]:
-    """Write the installation sheet, charts and page of a run that has ended; `tell` is called with what is left out.
-
-    Returns the names of the charts.
-    """
-    charts = []
+def write_pages(site: Site, run: RunFolder, tell: Callable[[str], object]) -> None:
+    """Write the installation sheet, charts and page of a run that has ended; `tell` is called with what is left out."""
     try:
         from ..report.run_figures import draw_charts
 
-        charts = draw_charts(site, run)
+        draw_charts(site, run)
     except MissingExtraError as error:
         tell(f"no charts: {error}")
     there = [path.name for path in run.path.glob("*.png")]
@@ -53,7 +50,6 @@ def write_pages(site: Site, run: RunFolder, tell: Callable[[str], object]) -> li
         text = installation_text(site.with_lidar(number), result, there)
         write_text(run.file(of_lidar(INSTALLATION, name)), text)
     write_report(run)
-    return charts
 
 
 def report(args: argparse.Namespace, site: Site, run: RunFolder) -> int:
@@ -65,8 +61,8 @@ def report(args: argparse.Namespace, site: Site, run: RunFolder) -> int:
         rows = zip(site.scenario.lidars, run.result["lidars"], strict=True)
         layout = tuple(one.mounting(row["deployment"]) for one, row in rows)
         found = "\n\n" + detection_summary(judge_at(site, layout, args.detector, run.path))
-    charts = write_pages(site, run, note)
-    return say_result(args, outcome_text(run, files(run, charts)) + found, run.result)
+    write_pages(site, run, note)
+    return say_result(args, document_text(run.document, files(run)) + found, run.result)
 
 
 def _check_detector(args: argparse.Namespace, scenario: Scenario) -> None:

@@ -24,6 +24,7 @@ def add_verbs(subparsers) -> None:
         _init,
         _optimise,
         _evaluate,
+        _report,
         _table,
         _stability,
         _chart,
@@ -148,6 +149,22 @@ def _evaluate(subparsers) -> None:
     add_pose(parser)
     _detector(parser)
     _output(parser)
+
+
+def _report(subparsers) -> None:
+    parser = _verb(
+        subparsers,
+        "report RUN",
+        "print what a finished run has come to",
+        "Print the answer of a finished run again: where to hang the LiDAR, what that is worth and what to know first.",
+        "runs/i80_rs-16",
+        "runs/i80_rs-16 --all",
+        run="report.run_report",
+    )
+    add = parser.add_argument
+    add("folder", metavar="RUN", help="the folder of a run")
+    add("--all", action="store_true", help="also all tables, notes, assumptions and meanings")
+    add("--json", action="store_true", help="print only the content of the result file, on stdout")
 
 
 def _table(subparsers) -> None:

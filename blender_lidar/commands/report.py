@@ -1,42 +1,23 @@
-"""What a run prints: what was loaded, and the mounting found beside the baseline."""
+"""What a run prints: what was loaded, and what it came to."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
-import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
-from ..metrics.catalogue import metric_named
-from ..report.cautions import cautions, other_traffic_texts
-from ..report.summary import (
-    answer,
-    as_sentence,
-    assumed_texts,
-    definitions,
-    each_lidar,
-    imperfections_text,
-    of_name,
-    region_text,
-    scenery_text,
-    warnings_text,
-    where_text,
-)
-from ..report.tables import group_tables, score_tables, table_text
+from ..report.text import document_text
 from ..run.folder import INSTALLATION, RunFolder, of_lidar
 from ..run.optimise import scenery_counts
+from ..run.words import each_lidar, imperfections_text, of_name, region_text, scenery_text, warnings_text
 from ..scene.mounting import COORDINATE_NAMES
 from ..scene.site import Site
 from ..scoring.evaluation import workplace_of
 from ..traffic.vehicles import counted
-
-_NOTE_WIDTH = 120
-
 
 # --- Where a verb prints what ------------------------------------------------------------------------------
 
@@ -110,42 +91,19 @@ def _traffic_text(site: Site) -> str:
     return " and ".join(f"{one.name} ({one.path}, weight {one.weight:g})" for one in recordings)
 
 
-def outcome_text(run: RunFolder, where: str) -> str:
-    """What a run came to, the answer first: it, what its words mean, tables, `where` the results are, warnings last.
-
-    Warnings are what the run says of how far to trust it: of the search, of its frames, and of the recording.
-    """
-    result, metric = run.result, metric_named(run.result["metric"])
-    unit = f", in {metric.unit}" if metric.unit else ""
-    words = definitions(result)
-    meant = [f"Objective{unit}: {words['objective']}", f"Detectable: {words['detectable']}"]
-    tables = map(table_text, (*score_tables(result), *group_tables(result)))
-    warnings = [*cautions(result), *map(as_sentence, (*result["notes"], *result["traffic_report"]["notes"]))]
-    first = [*warnings_text(result), answer(result)]
-    assumed = [where_text(result), *(f"Assumed: {text}" for text in assumed_texts(result))]
-    parts = [
-        filled(first),
-        filled(other_traffic_texts(result)),
-        filled(assumed),
-        filled(meant),
-        *tables,
-        where,
-        filled(warnings),
-    ]
-    return "\n\n".join(part for part in parts if part)
-
-
-def filled(sentences: Sequence[str]) -> str:
-    """Sentences, each on lines of its own that fit the terminal."""
-    width = min(shutil.get_terminal_size((_NOTE_WIDTH, 24)).columns, _NOTE_WIDTH)
-    return "\n".join(textwrap.fill(sentence, width, break_on_hyphens=False) for sentence in dict.fromkeys(sentences))
-
-
-def files(folder: RunFolder, charts: Sequence[str]) -> str:
-    """Where the results are."""
-    drawn = f" and {len(charts)} charts" if charts else ""
+def files(folder: RunFolder) -> list[str]:
+    """Where the results are, and how to see the rest."""
     sheets = ", ".join(of_lidar(INSTALLATION, name) for name in each_lidar(folder.result))
-    return f"Results in {folder.path}: report.html, result.json, vehicles.csv, {sheets}{drawn}"
+    return [
+        f"{folder.path}: report.html (tables, charts, meanings), {sheets}, result.json, vehicles.csv",
+        f"blender-lidar report {folder.path} --all prints the tables",
+    ]
+
+
+def run_report(args: argparse.Namespace) -> int:
+    """Print what a finished run has come to; returns the exit code."""
+    folder = RunFolder(args.folder)
+    return say_result(args, document_text(folder.document, files(folder), every=args.all), folder.result)
 
 
 def _installers(scenario):

@@ -20,8 +20,8 @@ from ..errors import InputError
 from ..files import check_place, check_unused, make_folder, write_text
 from ..names import CLOUD_SUFFIXES
 from ..report.page import RENDER_COMPARISON, RENDER_VIEWS, render_file, write_report
-from ..report.summary import sides, warnings_text
 from ..run.folder import SCENE, RunFolder
+from ..run.words import sides, warnings_text
 from ..scene.lidars import LidarSpec
 from ..scene.mount_checks import check_mount_is_clear
 from ..scene.mounting import Mounting

@@ -19,7 +19,7 @@ from ..metrics.catalogue import METRICS, metric_named
 from ..metrics.metric import NEEDS_DISTANCE, Metric, vehicle_returns
 from ..metrics.vgop import entropy, to_vehicle_frame
 from ..optimise import detectable
-from ..report.summary import warnings_text
+from ..run.words import warnings_text
 from ..traffic import read_table
 from ..traffic.boxes import Boxes
 from ..traffic.tracks import NUMBERED

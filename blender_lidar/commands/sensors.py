@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..report.beam_fan import MOUNT_HEIGHT_M, fan_text, ground_distance_m, plot_beam_fan
-from ..report.tables import text_table
+from ..report.text import text_table
 from ..sensors.model import LidarModel, load_model, model_names, with_columns
 
 _WIDTH = 100

@@ -12,17 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
+from ..document import Table
 from ..errors import InputError
 from ..files import folder_lock, to_csv, write_text
-from ..metrics.catalogue import DETECTABLE
 from ..report.html import element
 from ..report.page import page_html, table_markup
-from ..report.summary import boxes_text, measured
-from ..report.tables import TextTable, table_text
+from ..report.text import filled, table_text
 from ..run.as_hung import hung_scores, searching
 from ..run.assumptions import assumptions, site_name
 from ..run.comparison import Comparison
+from ..run.quantities import share
 from ..run.vehicle_table import vehicle_tables
+from ..run.words import boxes_text
 from ..scene.deployment import SearchSpace
 from ..scene.mounting import ANGLES, LEANS, Mounting, changed_mounting, mast_at
 from ..scene.scenario import Scenario
@@ -31,7 +32,7 @@ from ..scoring.evaluation import site_evaluator
 from ..studies.candidates import at_one_place
 from .options import default_folder, scenario_from
 from .progress import Progress
-from .report import describe_site, filled, say, say_result
+from .report import describe_site, say, say_result
 
 _MOST = 40  # values of a range
 _HIGHEST_M, _FARTHEST_M = 30.0, 60.0
@@ -186,19 +187,18 @@ def _where(cell: Mapping) -> str:
     return f"{cell['height_m']:g} m at a setback of {cell['setback_m']:g} m"
 
 
-def _text_table(site: Site, cells: Sequence[Mapping], setbacks: Sequence[float], heights: Sequence[float]) -> TextTable:
+def _text_table(site: Site, cells: Sequence[Mapping], setbacks: Sequence[float], heights: Sequence[float]) -> Table:
     axis, found = site.scenario.lidar.deployment.spaces[0].axes[1], iter(cells)
     rows = []
     for setback in setbacks:
         texts = []
         for cell in (next(found) for _ in heights):
-            share, ends = measured(DETECTABLE, cell["detectable_share"], cell["detectable_share_interval_90"])
-            mark = _AS_GOOD if cell["as_good"] else ""
-            texts.append(f"{mark}{share}{f' ({ends})' if ends else ''} % at {cell[axis]:.0f}°")
+            seen = share("detectable_share", "", cell["detectable_share"], cell["detectable_share_interval_90"])
+            texts.append(f"{_AS_GOOD if cell['as_good'] else ''}{seen} at {cell[axis]:.0f}°")
         rows.append((f"{setback:g} m", *texts))
     what = axis.split("_")[0]
-    head = [[(f"{site.model.name}, setback", 1), *((f"hung at {height:g} m", 1) for height in heights)]]
-    return TextTable(f"{site.model.name}: detectable share, best {what}", head, [("", rows)])
+    columns = (f"{site.model.name}, setback", *(f"hung at {height:g} m" for height in heights))
+    return Table("table", f"{site.model.name}: detectable share, best {what}", columns, tuple(rows))
 
 
 def _cell(value: object) -> object:

@@ -15,6 +15,7 @@ from ..detection.scores import CONFIDENCES, CRITERIA, meetings
 from ..metrics.vgop import VIEW_NAMES, entropy, occupancy_views
 from ..run.folder import RunFolder
 from ..run.optimise import sensors_text
+from ..run.words import mounting_text, sides
 from ..scene.mounting import Layout
 from ..scene.site import Site
 from ..scoring.frame_scorer import FrameScorer
@@ -35,7 +36,6 @@ from .figure import (
 )
 from .plan import Stand, draw_stands, plans, scale_bar, window_of
 from .road_plan import draw_road
-from .summary import mounting_text, sides
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -13,7 +13,7 @@ from ..statistics import FEWEST_BLOCKS
 from ..studies.commission import FEWEST_CLOUDS
 from ..studies.road_fit import Z_90
 from .figure import INK, sheet
-from .tables import text_table
+from .text import text_table
 
 if TYPE_CHECKING:
     from ..studies.commission import Commissioned

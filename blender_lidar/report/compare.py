@@ -10,7 +10,7 @@ import numpy as np
 
 from ..statistics import FEWEST_BLOCKS
 from .figure import FAINT, HEIGHT_COLOURS, INK, colours, sheet
-from .tables import text_table
+from .text import text_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..run.folder import RunFolder
+from ..run.words import each_lidar, run_text, sides
 from ..scene.settings import ZoneSettings
 from .figure import (
     BLIND_COLOURS,
@@ -25,7 +26,6 @@ from .figure import (
 )
 from .plan import Stand, background, draw_stands, north_arrow, north_name, plans, scale_bar, window_of
 from .road_plan import ASPHALT_LOOK, EMPTY_LOOK, SEEN_THROUGH_LOOK, draw_road
-from .summary import each_lidar, run_text, sides
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from .tables import TextTable
+from ..document import Table
 
 _ROWS = {
     "recall_0.1": "recall at confidence 0.1",
@@ -44,7 +44,7 @@ def detection_text(result: Mapping) -> str:
     return said + (f"; {empty} of the {scenes} have no detection." if empty else ".")
 
 
-def detection_table(result: Mapping) -> TextTable:
+def detection_table(result: Mapping) -> Table:
     """Recall always with precision, AP, and groups of vehicles, in per cent, for each mounting or all of a data set."""
     scores = list(result["mountings"].values())
     names, unit = (["all mountings"], "scan") if "scans" in result else (list(result["mountings"]), "frame")
@@ -52,8 +52,7 @@ def detection_table(result: Mapping) -> TextTable:
     fused = scores[-1].get("over", {})  # by late fusion, which is better than others by so much
     names = ["late fusion" if fused and name == "given" else name for name in names]
     more = ["difference", "90 %"] if over or fused else ["90 %"] if ends_of else []
-    head = [("[%]", 1), *((name, 1) for name in names), *((m, 1) for m in more)]
-    blank = [""] * len(more)
+    blank = [None] * len(more)
     rows = [("vehicles", *(f"{one['vehicles']:,}" for one in scores), *blank)]
     if all(one["with_return"] is not None for one in scores):
         rows.append(("with a return", *(_percent(one["with_return"]) for one in scores), *blank))
@@ -67,10 +66,9 @@ def detection_table(result: Mapping) -> TextTable:
             cells += blank
         rows.append((text, *cells))
     rows.append((f"false alarms a {unit} at 0.3", *(f"{one['false_alarms_0.3']:.2f}" for one in scores), *blank))
-    sections, of_each = [("", rows)], [""] * len(scores)
     for name, gains in fused.items():
-        rows = [(what, *of_each, *_difference(gains[key])) for key, what in _TABLED.items()]
-        sections.append((f"Late fusion less {name}", rows))
+        rows.append((f"Late fusion less {name}",))
+        rows += [(what, *[None] * len(scores), *_difference(gains[key])) for key, what in _TABLED.items()]
     for group, title in (("by_distance", "By distance"), ("by_kind", "By kind"), ("by_approach", "By approach")):
         of_group = []
         for name in scores[-1].get(group, ()):
@@ -80,10 +78,8 @@ def detection_table(result: Mapping) -> TextTable:
                 if key in scores[-1][group][name]:
                     cells = (_percent(one[group][name][key]) for one in scores)
                     of_group.append((f"{'':<14}{what}", *cells, *blank))
-        if not of_group:
-            continue
-        sections.append((title, of_group))
-    return TextTable("Detection", [head], sections)
+        rows += [(title,), *of_group] if of_group else []
+    return Table("detection", "Detection", ("[%]", *names, *more), tuple(rows))
 
 
 def _difference(gain: Mapping) -> list[str]:

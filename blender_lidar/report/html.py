@@ -68,10 +68,10 @@ def table(caption: str, *parts: Markup, class_: str | None = None) -> Markup:
     return element("div", inner, class_="scroll", role="region", aria_label=caption, tabindex=0)
 
 
-def terms(entries: Iterable[tuple[str, str]]) -> Markup:
+def terms(entries: Iterable[tuple[str, str]], class_: str = "terms") -> Markup:
     """A list of terms, each with what it means."""
     pairs = (joined(element("dt", term), element("dd", meaning)) for term, meaning in entries)
-    return element("dl", *pairs, class_="terms")
+    return element("dl", *pairs, class_=class_)
 
 
 def image(path: Path, alt: str) -> Markup:

@@ -10,28 +10,11 @@ from functools import partial
 
 import numpy as np
 
-from ..metrics.catalogue import DETECTABLE
-from ..scene.deployment import Installer
+from ..document import ANSWER, DOUBT, Document, document_from
+from ..run.words import region_text
 from ..scene.directions import UPRIGHT_DEG, bearing_deg, pointing
 from ..scene.mounting import Mast
 from ..scene.site import Site
-from .cautions import crossed_text, next_metre_text, optimum_text, other_traffic_texts
-from .summary import (
-    approaches_text,
-    as_sentence,
-    assumed_texts,
-    conditions,
-    errors_text,
-    in_brackets,
-    judged,
-    measured,
-    over_single_text,
-    percent,
-    planned_text,
-    region_text,
-    warnings_text,
-    worth,
-)
 
 _WIDTH = 110
 
@@ -39,13 +22,14 @@ _WIDTH = 110
 def installation_text(site: Site, result: Mapping, charts: Collection[str] = ()) -> str:
     """Instructions for one mounting, as plain text.
 
-    `result` is as `summary.each_lidar` gives it for the LiDAR that the site has alone; `charts` lie beside it.
+    `result` is as `run.words.each_lidar` gives it for the LiDAR that the site has alone; `charts` lie beside it.
     """
+    document = document_from(result["document"])
     mount = result["deployment"]
     mounting = site.scenario.lidar.mounting(mount)
     plumb = replace(mounting, mast=Mast(facing_rad=mounting.mast.facing_rad))
     right, ahead, _ = plumb.pose.to_world(np.eye(3))  # the sensor's axes; at zero azimuth it looks ahead
-    falls = [f"{-math.degrees(math.asin(axis[2])) + 0.0:.1f} deg" for axis in (ahead, right)]
+    falls = [_falls(-math.degrees(math.asin(axis[2]))) for axis in (ahead, right)]
     road, standing = site.scenario.road, site.observation.scenery
     travel = "the direction of travel" + (f" on the {road.drives_on} carriageway" if road.carriageways == 2 else "")
     along, across = (" along the road", " across it") if site.scenario.road_map.endless else ("", " in the site frame")
@@ -57,7 +41,8 @@ def installation_text(site: Site, result: Mapping, charts: Collection[str] = ())
     lines = [
         *_which(result),
         "",
-        *_accepted(result),
+        *(line for one in document.of(DOUBT) for line in _item(one.text)),
+        *[""] * bool(document.of(DOUBT)),
         f"Height       {mount['height_m']:.2f} m from the road surface to the optical centre of the sensor;",
         _above_foot(result),
         *_slopes(site),
@@ -67,8 +52,8 @@ def installation_text(site: Site, result: Mapping, charts: Collection[str] = ())
         "             bearings below are clockwise from their +y, which is north where y points north",
         f"Mast         faces {bearing(plumb.mast.T_site_mast.rotation[1])}",
         f"Lean         {_lean(at)}",
-        f"             (before yaw: {mount['tilt_x_deg']:.1f} deg down to where the mast faces, "
-        f"{mount['tilt_y_deg']:.1f} deg up to the right of it)",
+        f"             (as tilts, set before the yaw: {mount['tilt_x_deg']:.1f} deg down towards where the mast faces,",
+        f"             {mount['tilt_y_deg']:.1f} deg up on the right of that)",
         f"Yaw          {mount['yaw_deg']:.1f} deg counter-clockwise seen from above; at 0 the sensor's zero azimuth",
         "             points where the mast faces",
         f"Cable        zero azimuth faces {bearing(ahead)};",
@@ -77,8 +62,8 @@ def installation_text(site: Site, result: Mapping, charts: Collection[str] = ())
         f"Planned for  vehicles {region_text(asdict(site.scenario.region))}, in the frame of the position above",
         "",
         "Check on site",
-        f"- Inclinometer on the sensor's base: a fall of {falls[0]} towards zero azimuth and of",
-        f"  {falls[1]} a quarter turn clockwise from it (a negative fall is a rise).",
+        f"- Inclinometer on the sensor's base: towards zero azimuth it {falls[0]},",
+        f"  a quarter turn clockwise from it, seen from above, it {falls[1]}.",
         f"- {_lowest_beam(site, mounting)}",
         f"- Rotation rate {site.observation.lattice.rotation_hz:g} Hz{columns}.",
         "- Look for poles, signs, trees and barriers between the sensor and the lanes that the scene does not have."
@@ -86,8 +71,7 @@ def installation_text(site: Site, result: Mapping, charts: Collection[str] = ())
         else "- Poles, signs, trees and barriers between the sensor and the lanes are not in the model: look for them.",
         *["- blind_zones.png shows where vehicles stay below the threshold."] * ("blind_zones.png" in charts),
         "",
-        *_expected(result),
-        *_to_know(result),
+        *_expected(document),
     ]
     return "\n".join(lines) + "\n"
 
@@ -105,18 +89,17 @@ def _which(result):
     return [f"Installation of LiDAR {result['name']} ({result['sensor']}), one of {count}: {result['site']}", *lines]
 
 
-def _accepted(result):
-    """What cannot be true of the traffic that it was planned with."""
-    lines = []
-    for text in warnings_text(result):
-        lines += textwrap.wrap(text, _WIDTH, initial_indent="- ", subsequent_indent="  ")
-    return [*lines, ""] if lines else []
+def _falls(fall_deg: float) -> str:
+    """How far a base falls or rises in a direction."""
+    if abs(fall_deg) < UPRIGHT_DEG:
+        return "is level"
+    return f"{'falls' if fall_deg > 0.0 else 'rises'} by {abs(fall_deg):.1f} deg"
 
 
 def _above_foot(result):
     """How high above the pole's foot, where that is known."""
     if not result.get("pole"):
-        return "             measured from the pole's foot, add the depth of the foot below the road"
+        return "             from the pole's foot it is more by as much as the foot lies below the road"
     pole, height = result["pole"], result["deployment"]["height_m"]
     return f"             {height - pole['foot_z_m']:.2f} m from the foot of pole {pole['name']}"
 
@@ -198,40 +181,13 @@ def _lowest_beam(site, mounting):
     return f"{side} meets the ground {reach:.1f} m from the pole: put a target there."
 
 
-def _expected(result):
-    """What to expect, on the frames that did not choose the mounting where there are any."""
-    *_, on = judged(result)
-    errors, own = errors_text(result), result["installer"]
-    lines, layout, of_layout = [f"Expected {'as hung ' * bool(errors)}on {on}"], result.get("layout"), ()
-    planned = "exactly as planned, " if errors else ""
-    if errors:
-        lines.append(f"- hung within {Installer(**own).text} of this plan" if own else "- it hangs already, as planned")
-    if layout:
-        own = next(one for one in layout["parts"] if one["name"] == result["name"])
-        points, around = measured(DETECTABLE, *(own["without"][f"share_gain{of}"] for of in ("", "_interval_90")), "+")
-        held = optimum_text({**result, "spread": None})
-        of_layout = (
-            f"{planned}these are figures of all {len(result['lidars'])} LiDARs together; {result['name']} alone has "
-            f"{percent(own['alone'])}, and the others gain {points} percentage points{in_brackets(around)} by it",
-            over_single_text(result),
-            held and f"with the others held, {held}",
-        )
-    found = (
-        worth(result),
-        planned_text(result),
-        *of_layout,
-        approaches_text(result) and f"{planned}{approaches_text(result)}",
-        optimum_text(result),
-        next_metre_text(result),
-    )
-    for text in (*filter(None, found), *(text.removesuffix(".") for text in other_traffic_texts(result))):
-        lines += textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")
-    return [*lines, *(f"- as {condition}" for condition in conditions(result))]
+def _expected(document: Document) -> list[str]:
+    """The two numbers to expect: what is detectable, and how sure that is."""
+    told = (one for one in document.of(ANSWER, first=True) if one.label in ("Detectable", "How sure"))
+    lines = [document.title, *(f"{one.label}: {one.text}" for one in told)]
+    return ["Expected", *(line for text in lines for line in _item(text))]
 
 
-def _to_know(result):
-    """What was assumed, and what the run notes of its frames and of the traffic as read."""
-    found = [*filter(None, [crossed_text(result)]), *(f"assumed: {text}" for text in assumed_texts(result))]
-    found += [as_sentence(text) for text in (*result["notes"], *result["traffic_report"]["notes"])]
-    lines = [line for text in found for line in textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")]
-    return ["", "To know", *lines] if lines else []
+def _item(text: str) -> list[str]:
+    """A text as an item of a list."""
+    return textwrap.wrap(f"- {text}", _WIDTH, subsequent_indent="  ")

@@ -7,55 +7,43 @@ folder gives the same bytes.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import fields
+from itertools import groupby
 from pathlib import Path
 
 from .. import __version__
+from ..document import ANSWER, ASSUMED, CAUTION, DOUBT, MEANING, NOTE, Table, as_sentence
 from ..files import write_text
 from ..run.folder import DETECTION, INSTALLATION, REPORT, RESULT, SCENE, RunFolder, of_lidar, refused_by_name
+from ..run.words import boxes_text, each_lidar, frames_word, gate_text, mounting_name, region_text, sides, was_searched
 from ..toml_table import read_toml
 from ..traffic.vehicles import RepairReport, counted
-from .cautions import cautions, other_traffic_texts
 from .detection import detection_table, detection_text
 from .html import Markup, element, image, joined, sheet_markup, table, terms
-from .summary import (
-    answer,
-    as_sentence,
-    assumed_texts,
-    boxes_text,
-    conditions,
-    definitions,
-    each_lidar,
-    errors_text,
-    frames_word,
-    gate_text,
-    key_figures,
-    minus,
-    mounting_name,
-    region_text,
-    sides,
-    warnings_text,
-    was_searched,
-    where_text,
-)
-from .tables import TextTable, group_tables, score_tables
+from .text import columns_of, labelled
 
 # --- The page's tables ------------------------------------------------------------------------------------------------
 
 _NONE = "\N{EN DASH}"
 
 
-def table_markup(content: TextTable, class_: str | None = None) -> Markup:
-    """A table of numbers."""
-    head = [element("tr", *(_heading_cell(text, columns) for text, columns in line)) for line in content.head]
-    bodies = []
-    for heading, rows in content.sections:
-        width = sum(columns for _, columns in content.head[-1])
-        over = element("tr", element("th", heading, scope="rowgroup", colspan=width)) if heading else None
-        lines = [element("tr", element("th", what, scope="row"), *map(_number, cells)) for what, *cells in rows]
-        bodies.append(element("tbody", over, *lines))
-    return table(content.title, element("thead", *head), *bodies, class_=class_)
+def table_markup(content: Table, class_: str | None = None) -> Markup:
+    """A table of quantities; a row of a name alone is a heading."""
+    heads, cells = columns_of(content)
+    groups = [(group, len(list(columns))) for group, columns in groupby(group for group, _ in heads)]
+    lines = [[_heading_cell(text, 1) for _, text in heads]]
+    if any(group for group, _ in groups):
+        lines.insert(0, [_heading_cell(*group) for group in groups])
+    body = []
+    for row, line in zip(content.rows, cells, strict=True):
+        if len(row) == 1 and len(heads) > 1:
+            body.append(element("tr", element("th", line[0], scope="rowgroup", colspan=len(heads))))
+        else:
+            body.append(element("tr", element("th", line[0], scope="row"), *map(_number, line[1:])))
+    head = element("thead", *(element("tr", *line) for line in lines))
+    return table(content.title, head, element("tbody", *body), class_=class_)
 
 
 def _heading_cell(text: str, columns: int) -> Markup:
@@ -65,22 +53,18 @@ def _heading_cell(text: str, columns: int) -> Markup:
 
 
 def _number(text: str) -> Markup:
-    """A cell of a number; a group without vehicles has none."""
+    """A cell of a number, with a minus as wide as a plus; a group without vehicles has none."""
     return element("td", _NONE if text == "-" else minus(text))
 
 
-def computing_table(result: Mapping) -> Markup:
+def minus(text: str) -> str:
+    """A text whose numbers have a minus that is as wide as a plus."""
+    return re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", text)
+
+
+def settings_table(settings: Mapping[str, str]) -> Markup:
     """What a result depends on beside the scene: how it was computed, and by what."""
-    search = f"{result['search']}, seed {result['seed']}, {result['evaluations']:,} evaluations at full fidelity"
-    rows = {
-        "Search": search if was_searched(result) else "none: the mounting was given",
-        "Metric": f"{result['metric']}, {result['reading']} reading",
-        "Rays": f"cast by {result['caster']}, vehicles in detail {result['detail']}",
-        "Traffic": result["identity"]["[traffic] path"],
-        "Time": f"{result['seconds']:.0f} s",
-        **result["versions"],
-    }
-    lines = [element("tr", element("th", name, scope="row"), element("td", value)) for name, value in rows.items()]
+    lines = [element("tr", element("th", name, scope="row"), element("td", text)) for name, text in settings.items()]
     return table("Methods and versions", element("tbody", *lines), class_="settings")
 
 
@@ -276,52 +260,36 @@ def _heading(run: RunFolder):
     frames = f"{boxes_text(result)} in {counted(result['frames'], f'{frames_word(result)} frame')}"
     if held:
         frames += f", {boxes_text(held)} in {counted(held['frames'], 'held-out one')}"
-    figures = [element("div", element("dt", what), element("dd", figure)) for what, figure in key_figures(result)]
     kind, several = "Best" if was_searched(result) else "A", len(result["lidars"])
     kind += " mounting of a roadside LiDAR" if several == 1 else f" layout of {several} roadside LiDARs"
+    told = run.document
     return element(
         "header",
         element("p", kind, class_="kind"),
         element("h1", result["site"], " ", element("span", result["sensor"])),
         element("p", f"{gate_text(result).capitalize()} · traffic {traffic} · {frames}", class_="facts"),
         element("p", f"Vehicles count {region_text(result['region'])}", class_="facts"),
-        *(element("p", f"{text[0].upper()}{text[1:]}", class_="facts") for text in conditions(result)),
-        *(element("p", text, class_="warning") for text in warnings_text(result)),
-        element("p", answer(result), class_="answer"),
-        element("dl", *figures, class_="figures"),
-        *(element("p", text, class_="facts") for text in other_traffic_texts(result)),
-        element("p", where_text(result), class_="facts"),
-        *(element("p", f"Assumed: {text}", class_="facts") for text in assumed_texts(result)),
+        *(element("p", minus(one.text), class_="warning") for one in told.of(DOUBT)),
+        terms(((one.label, minus(one.text)) for one in told.of(ANSWER)), "answer"),
     )
 
 
 def _scores(run: RunFolder):
     """The mountings side by side, and what the words in that table mean."""
-    result = run.result
-    words = definitions(result)
-    if errors_text(result):
-        words["as hung"] = (
-            f"expected over installation errors of {errors_text(result)}, each uniform and independent of the others; "
-            "the interval is over blocks of time. Nine of ten installations, of traffic of this kind, reach the share "
-            "that is given. Poles, the map, other traffic and a metre more are told as hung too; all other tables and "
-            "charts show the mounting exactly as planned."
-        )
-    if result["holdout"]:
-        words |= {
-            "held-out frames": "later frames with other vehicles than the searched ones: the search did not use "
-            "them, so they are an independent check.",
-            "90 % interval": f"from resampled blocks of {result['block_s']:g} s, because frames close in time show the "
-            "same vehicles; where nearly all blocks have 0 or 100 %, it also holds Clopper and Pearson's exact "
-            "interval, for which each different vehicle is one trial.",
-        }
-    return _section("Mounting and scores", *map(table_markup, score_tables(result)), terms(words.items()))
+    words = ((one.label, one.text) for one in run.document.of(MEANING))
+    tables = (table_markup(one) for one in run.document.tables if not one.key.startswith("by "))
+    return _section("Mounting and scores", *tables, terms(words))
 
 
 def _notes(run: RunFolder):
-    """What to know before acting on the answer."""
-    read = run.result["traffic_report"]
+    """What to know before acting on it, what was assumed, and what reading the traffic came to."""
+    read, told = run.result["traffic_report"], run.document
     read = RepairReport(**{field.name: read[field.name] for field in fields(RepairReport) if field.name in read})
-    lists = {"": cautions(run.result), "Frames": run.result["notes"], "Traffic as read": read.lines()}
+    lists = {
+        "": [minus(one.text) for one in (*told.of(CAUTION), *told.of(NOTE))],
+        "Assumed": [labelled(one) for one in told.of(ASSUMED)],
+        "Traffic as read": read.lines(),
+    }
     parts = [
         joined(element("h3", heading) if heading else None, element("ul", *(element("li", item) for item in items)))
         for heading, items in lists.items()
@@ -334,9 +302,8 @@ def _where(run: RunFolder):
     """Scores by groups of boxes, before and after, with their charts."""
     after = mounting_name(run.result)
     text = f"Detectable share and objective per vehicle, before (baseline) and after ({after}). "
-    text += "A box is a vehicle in one frame; a vehicle counts once in every frame that shows it. "
     text += "Read the intervals before the numbers."
-    tables = [table_markup(table, class_="groups") for table in group_tables(run.result)]
+    tables = [table_markup(one, class_="groups") for one in run.document.tables if one.key.startswith("by ")]
     drawn = any(run.file(name).exists() for name in CHARTS)
     charts = (
         chart_figures(run, "by_approach.png", "by_distance.png", "blind_zones.png", "reach.png", "other_traffic.png")
@@ -365,7 +332,7 @@ def _settings(run: RunFolder):
     """How it was computed, and the whole scene, both folded."""
     return _section(
         "The run",
-        element("details", element("summary", "How it was computed"), computing_table(run.result)),
+        element("details", element("summary", "How it was computed"), settings_table(run.document.settings)),
         element("details", element("summary", "The whole scene as used"), element("pre", run.read_text(SCENE))),
     )
 

@@ -10,13 +10,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
+from ..run.answer import known_groups
 from ..run.folder import RunFolder, of_lidar
+from ..run.quantities import judged
 from ..run.vehicle_table import APPROACH, METRIC_VALUE, MOVEMENT, WEIGHT
 from ..run.verdict import REGION_SHARE, ScoreMap, near_best_threshold
+from ..run.words import (
+    each_lidar,
+    errors_text,
+    gate_text,
+    layout_frames,
+    mounting_name,
+    run_text,
+    sides,
+    was_searched,
+)
 from ..scene.site import Site
 from ..statistics import FEW_VEHICLES
 from ..traffic.vehicles import counted
-from .cautions import known_groups
 from .cloud_figures import draw_clouds, draw_occupancy
 from .coverage_figures import plot_blind_zones, plot_reach
 from .figure import (
@@ -28,17 +39,6 @@ from .figure import (
     colours,
     legend_below,
     sheet,
-)
-from .summary import (
-    each_lidar,
-    errors_text,
-    gate_text,
-    judged,
-    layout_frames,
-    mounting_name,
-    run_text,
-    sides,
-    was_searched,
 )
 
 if TYPE_CHECKING:
@@ -332,7 +332,7 @@ def plot_by_approach(path: str | Path, result: Mapping) -> None:
     rows = approach_rows(result)
     looks = {"before": BASELINE_LOOK, "after": OPTIMISED_LOOK}
     names = dict(zip(looks, (name.lower() for name, *_ in sides(result)), strict=True))
-    subtitle = f"{result['sensor']}, {gate_text(result)}; {judged(result)[2]}"
+    subtitle = f"{result['sensor']}, {gate_text(result)}; {judged(result)[2].split} frames"
     with sheet(path, 36.0 + 8.0 * len(rows), "Detectable vehicles by approach and movement", subtitle) as figure:
         axes = figure.subplots()
         for at, row in enumerate(rows):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..metrics.catalogue import metric_named
+from ..run.words import of_name, place_text
 from ..scene.deployment import variable_of
 from ..studies.findings import (
     AT_LEAST_FRAGILE,
@@ -25,7 +26,6 @@ from ..studies.findings import (
 from ..studies.variations import SECTIONS
 from .figure import BASELINE_LOOK, FAINT, INK, OPTIMISED_LOOK, SMALL_PT, legend_below, sheet
 from .study import Section, StudyReport
-from .summary import of_name, place_text
 
 
 def _numbers_with(result: Mapping, key: str) -> Mapping:

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 from ..errors import MissingExtraError
 from ..files import to_csv, write_text
+from ..run.words import warnings_text
 from ..studies.driver import StudyFolder
-from .summary import warnings_text
-from .tables import WIDTH, markdown_table, text_table
+from .text import WIDTH, markdown_table, text_table
 
 PAGE = "report.md"
 

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import __version__
+from ..document import Document, document_from
 from ..errors import BlenderLidarError, InputError, MissingFileError
 from ..files import (
     check_folder,
@@ -35,7 +36,7 @@ from ..traffic.boxes import WAY_COLUMNS
 from .vehicle_table import WEIGHT, columns_for, points_columns
 from .verdict import ScoreMap
 
-RUN_SCHEMA = 1
+RUN_SCHEMA = 2
 RESULT, CHECKPOINT, SCENE = "result.json", "checkpoint.json", "scene.toml"
 HISTORY, HISTORY_CANDIDATES = "history.csv", "history_candidates.csv"
 VEHICLES, VEHICLES_BASELINE, SCORE_MAP = "vehicles.csv", "vehicles_baseline.csv", "score_map.csv"
@@ -172,6 +173,11 @@ class RunFolder:
         if found.get("schema") != RUN_SCHEMA:
             raise InputError(f"{self.file(RESULT)}: schema is not {RUN_SCHEMA}, the one that this version writes")
         return found
+
+    @cached_property
+    def document(self) -> Document:
+        """What is told of the run."""
+        return document_from(self.result["document"])
 
     @cached_property
     def optimised(self) -> dict[str, np.ndarray]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..document import as_json
 from ..errors import InputError
 from ..metrics.catalogue import metric_named
 from ..optimise.multi_fidelity import MultiFidelitySearch
@@ -21,6 +22,7 @@ from ..scene.site import Site
 from ..scoring.evaluation import Evaluator, site_evaluator
 from ..scoring.fidelity import Fidelity
 from ..traffic.frames import NOTHING_HELD_OUT
+from .answer import run_document
 from .approach_files import write_approaches
 from .as_hung import HungObjective, searching
 from .assumptions import assumptions, site_name
@@ -241,6 +243,7 @@ def _conclude(
         "seconds": round(time.perf_counter() - started, 3),
         "versions": versions(site.observation.caster),
     }
+    result["document"] = as_json(run_document(result))
     write_approaches(folder, site, result)
     return folder.finish(result)
 
