@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 
 from blender_lidar.cli import main
+from blender_lidar.document import as_json
 from blender_lidar.report.page import report_html
+from blender_lidar.run.answer import run_document
 from blender_lidar.run.as_hung import AS_PLANNED
 from blender_lidar.run.folder import RunFolder
 from tests.small_scene import HEADER, MAPPED, traffic_rows, without_charts, write_scene, write_table
@@ -124,5 +126,15 @@ def result_of(folder: RunFolder) -> dict:
     return json.loads(folder.file("result.json").read_text())
 
 
-def change(folder: RunFolder, result: object) -> None:
-    folder.file("result.json").write_text(json.dumps(result))
+def change(folder: RunFolder, result: dict) -> None:
+    """Write another result into a folder, with the document that it makes."""
+    told = {"document": as_json(run_document(result))} if isinstance(result, dict) and "lidars" in result else {}
+    folder.file("result.json").write_text(json.dumps({**result, **told} if told else result))
+
+
+def said(result: dict, *kinds: str) -> str:
+    """The statements of a result, of all kinds or of some, as one text with their labels."""
+    found = run_document(result).statements
+    return " ".join(
+        f"{one.label}: {one.text}" if one.label else one.text for one in found if not kinds or one.kind in kinds
+    )

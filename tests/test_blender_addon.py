@@ -14,7 +14,9 @@ bpy = pytest.importorskip("bpy")
 
 from blender_lidar.addon import gizmos, live, optimising, properties, scenarios, session
 from blender_lidar.cli import main as command_line
-from blender_lidar.report.summary import doubt
+from blender_lidar.document import document_from
+from blender_lidar.report.text import short_lines
+from blender_lidar.run.answer import doubt
 from blender_lidar.run.verdict import POINTS
 from blender_lidar.scene.mounting import COORDINATES
 from blender_lidar.scene.scenario import load_scenario
@@ -229,11 +231,12 @@ def test_a_run_stays_beside_a_saved_file_and_its_report_opens(tmp_path, monkeypa
 def test_the_panel_doubts_what_the_page_doubts_and_speaks_of_a_lean_where_the_scene_does(name, tmp_path):
     command_line(["optimise", str(SCENES[name](tmp_path)), "--out", str(tmp_path / "run")])
     result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
-    lines, why = optimising.result_lines(result), doubt(result)
+    lines, why = short_lines(document_from(result["document"])), doubt(result)
     assert why  # few vehicles
-    assert why in lines
+    assert f"{why}." in lines
     assert why in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert ("lean" in lines[0], "tilt" in lines[0]) == (name == "slope_and_crown", name == "circle")
+    place = next(line for line in lines if line.startswith("Best found: "))
+    assert ("leaning" in place, "tilted" in place) == (name == "slope_and_crown", name == "circle")
 
 
 def test_how_long_it_takes_is_said_from_the_searchs_own_rate(tmp_path, monkeypatch):

@@ -16,8 +16,8 @@ import pytest
 from blender_lidar import __version__, cli
 from blender_lidar.commands import doctor
 from blender_lidar.commands.progress import Progress
-from blender_lidar.commands.report import outcome_text
-from blender_lidar.report.summary import answer
+from blender_lidar.report.text import document_text
+from blender_lidar.run.answer import run_document
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.traffic.table import BOX_NEEDED, OPTIONAL
 from tests.small_scene import cli as run
@@ -172,7 +172,7 @@ def test_a_stream_that_is_closed_is_no_reason_to_fail(closed):
 
 def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     out, err = done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
-    described, message, other, assumed, meant, *tables, where, notes = out.rstrip().split("\n\n")
+    described, title, message, before, meant, where = out.rstrip().split("\n\n")
     assert [line.split()[0] for line in described.splitlines()] == [
         "Sensor",
         "Traffic",
@@ -180,29 +180,45 @@ def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
         "Searched",
         "Casting",
     ]
-    assert " ".join(message.split()) == answer(json.loads(Path("run/result.json").read_text()))
-    assert [line.split()[0] for line in other.splitlines() if line[0].isupper()] == ["If", "Detectable"]
-    assert " ".join(assumed.split()).startswith("In the recording's own coordinates (x and y of the table) the mast ")
-    assert [line.split()[0] for line in meant.splitlines() if line[0].isupper()] == ["Objective,", "Detectable:"]
-    assert tables[0].startswith("Mounting ")
-    assert where.startswith("Results in run: ")
-    few = "Few different vehicles: 7 in the searched frames and 12 in the held-out ones; with fewer than 10 an answer "
-    all_seen = (
-        "Every vehicle is detectable under either mounting on held-out traffic, so the detectable share does not "
+    result = json.loads(Path("run/result.json").read_text())
+    assert title == result["document"]["title"]
+    labels = [line.split("  ")[1] for line in message.splitlines() if line[:2] == "  " and line[2] not in " !"]
+    assert labels == ["Best found", "Detectable", "Gain", "How sure", "Stands at"]
+    assert message.startswith("  ! Too few blocks of time are held out for an interval.")
+    assert before.startswith(
+        "Before you act\n  ! Every vehicle is detectable under either mounting, so the detectable "
     )
-    all_seen += "distinguish them: [objective] threshold is 0.005; try a higher one. "
-    assert " ".join(notes.split()) == all_seen + few + "may be chance."
+    assert "[objective] threshold is 0.005; try a higher one." in " ".join(before.split())
+    assert meant.startswith("( ) 90 % interval. Detectable: occupancy ")
+    assert where == (
+        "run: report.html (tables, charts, meanings), installation.txt, result.json, vehicles.csv\n"
+        "blender-lidar report run --all prints the tables"
+    )
+    assert len(out.splitlines()) - len(described.splitlines()) <= 30
     assert "search: 12 of 12 best " in err
     assert max(map(len, out.replace(str(tmp_path), "").splitlines())) <= 120
 
 
-def test_warnings_of_plan_and_traffic_come_last_and_once(tmp_path, capsys):
+def test_a_finished_run_is_printed_again_and_all_of_it_has_every_statement_and_table(tmp_path, capsys):
+    out, _ = done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
+    again, _ = done(capsys, "report", "run")
+    assert out.endswith(again)
+    every, _ = done(capsys, "report", "run", "--all")
+    document, words = RunFolder("run").document, " ".join(every.split())
+    for one in document.statements:
+        assert " ".join(one.text.split()) in words
+    for table in document.tables:
+        assert table.title in every
+    printed, _ = done(capsys, "report", "run", "--json")
+    assert json.loads(printed) == json.loads(Path("run/result.json").read_text())
+
+
+def test_notes_of_plan_and_traffic_are_told_once(tmp_path, capsys):
     done(capsys, "optimise", write_scene(tmp_path), "--out", "run")
-    run = RunFolder("run")
-    run.result["notes"], run.result["traffic_report"]["notes"] = ["few frames", "guessed"], ["guessed"]
-    warned = outcome_text(run, "Results in run").rpartition("\n\n")[2].splitlines()
-    assert warned[-2:] == ["Few frames.", "Guessed."]
-    assert warned.count("Guessed.") == 1
+    result = RunFolder("run").result
+    result["notes"], result["traffic_report"]["notes"] = ["few frames", "guessed"], ["guessed"]
+    lines = document_text(run_document(result), every=True).splitlines()
+    assert [lines.count(f"    {note}") for note in ("Few frames.", "Guessed.")] == [1, 1]
 
 
 def test_rows_that_were_not_used_are_told_without_being_asked(tmp_path, capsys):

@@ -10,14 +10,15 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.commands.progress import RunProgress
+from blender_lidar.document import ANSWER, CAUTION
 from blender_lidar.errors import InputError
-from blender_lidar.report.cautions import cautions, optimum_text
 from blender_lidar.report.page import report_html
 from blender_lidar.report.run_figures import plot_steps
-from blender_lidar.report.summary import answer, conditions, each_lidar, key_figures, leans, over_single_text, run_text
-from blender_lidar.report.tables import comparison_table, layout_tables
 from blender_lidar.results import Run
+from blender_lidar.run.answer import optimum_text, run_document
 from blender_lidar.run.folder import RunFolder
+from blender_lidar.run.quantities import run_tables
+from blender_lidar.run.words import conditions, each_lidar, leans, run_text
 from blender_lidar.toml_table import to_toml
 from tests.small_scene import REGION, done, without_charts, write_scene
 
@@ -49,59 +50,66 @@ def result(run):
     return copy.deepcopy(run.result)
 
 
+def lines(result):
+    """The lines of the answer by their labels."""
+    return {one.label: one.text for one in run_document(result).of(ANSWER)}
+
+
+def tables(result):
+    """The tables by their keys, rows by their names."""
+    return {one.key: {row[0]: row[1:] for row in one.rows} for one in run_tables(result)}
+
+
 def test_the_answer_names_each_lidar_its_sensor_and_the_gain_over_the_best_single_one(result):
-    text = answer(result)
-    for name, sensor in {"north": "RS-16", "south": "RS-32"}.items():
-        assert f"the {sensor} {name} " in text
-    assert "leaning 12.0°" in text
-    assert "tilted" in text
+    found = lines(result)
+    places = [text for label, text in found.items() if label.endswith((", north", ", south"))][:2]
+    assert [text.split()[0] for text in places] == ["RS-16", "RS-32"]
+    assert "tilted" in places[0]
+    assert "leaning 12.0°" in places[1]
     (first,) = result["layout"]["steps"][0]["added"]
-    assert f"Compared with the best single LiDAR that was found ({first})" in text
+    assert f"over the best single LiDAR of its search ({first})" in found["Together"]
 
 
 def test_a_gain_whose_interval_holds_0_is_said_not_to_be_shown(result):
     gain = result["layout"]["over_single"]
-    gain |= {"share_gain_interval_90": [-0.01, 0.2], "interval_90": [0.1, 0.2]}
-    assert over_single_text(result).count("holds 0: not shown") == 1
-    gain |= {"share_gain_interval_90": None, "interval_90": None}
-    assert over_single_text(result).count("(no interval)") == 2
-    gain |= {"share_gain_interval_90": [0.1, 0.2], "interval_90": [0.1, 0.2]}
-    assert not re.search("not shown|no interval", over_single_text(result))
+    for ends, says in (([-0.01, 0.2], "not shown"), (None, "no interval"), ([0.1, 0.2], "")):
+        gain |= {"share_gain_interval_90": ends, "interval_90": ends}
+        assert says in lines(result)["Together"]
+        assert bool(re.search("not shown|no interval", lines(result)["Together"])) == bool(says)
 
 
 def test_what_the_layout_is_compared_with_is_what_it_is(result):
     (first,) = result["layout"]["steps"][0]["added"]
     next(one for one in result["lidars"] if one["name"] == first)["bounds"] = None
-    assert f"what hung already ({first})" in over_single_text(result)
+    assert f"over what hung already ({first})" in lines(result)["Together"]
     result["search"] = None
-    assert f"the best single LiDAR of them ({first})" in over_single_text(result)
+    assert f"over the best single LiDAR of them ({first})" in lines(result)["Together"]
 
 
 def test_the_tables_have_the_figures_of_the_layout_and_no_price_that_nobody_gave(result):
-    parts, steps = layout_tables(result)
-    shares = [f"{100 * one['share']:.0f}" for one in result["layout"]["covered_by"]]
-    assert [row[2].split(".")[0] for row in steps.sections[1][1]] == shares
-    assert [row[0] for row in parts.sections[0][1]] == ["north, RS-16", "south, RS-32"]
-    assert len(steps.sections[0][1]) == 2
-    width = {sum(span for _, span in line) for table in (parts, steps) for line in table.head}
-    assert {len(row) for table in (parts, steps) for _, rows in table.sections for row in rows} == width
-    assert not any(row[1] for row in parts.sections[0][1])
+    found = tables(result)
+    for one in result["layout"]["covered_by"]:
+        assert found["steps"][f"{one['lidars']} or more"][1].value == 100.0 * one["share"]
+    assert list(found["parts"]) == ["north, RS-16", "south, RS-32"]
+    assert {len(row) for row in found["parts"].values()} == {5}
+    assert not any(row[0] for row in found["parts"].values())
     result["lidars"][1]["price"] = 2500.5
-    assert [row[1] for row in layout_tables(result)[0].sections[0][1]] == ["", "2500.5"]
+    assert [row[0] for row in tables(result)["parts"].values()] == [None, "2500.5"]
 
 
 def test_a_gain_is_shown_where_its_interval_lies_above_0(result):
     part = result["layout"]["parts"][0]["without"]
-    for ends, shown in (([0.1, 0.2], "yes"), ([-0.1, 0.2], "no"), (None, "")):
+    for ends, shown in (([0.1, 0.2], "yes"), ([-0.1, 0.2], "no"), (None, None)):
         part["interval_90"] = ends
-        assert layout_tables(result)[0].sections[0][1][0][-1] == shown
+        assert tables(result)["parts"]["north, RS-16"][-1] == shown
 
 
 def test_each_lidar_has_the_rows_of_its_own_orientation(result):
-    sections = dict(comparison_table(result).sections)
-    assert any("tilt across" in row[0] for row in sections["north"])
-    assert any("lean [deg]" in row[0] for row in sections["south"])
-    assert not any("lean" in row[0] for row in sections["north"])
+    rows = [row[0] for row in next(one for one in run_tables(result) if one.key == "mountings").rows]
+    north, south = rows.index("north"), rows.index("south")
+    assert any("tilt across" in row for row in rows[north:south])
+    assert not any("lean" in row for row in rows[north:south])
+    assert "lean" in rows[south:]
 
 
 def test_a_lidar_of_a_layout_is_seen_as_a_single_one(result):
@@ -118,21 +126,22 @@ def test_the_spread_of_the_optimum_is_told_of_the_lidar_that_it_is_of(result):
     ends = {"north.height_m": [2.0, 3.0], "north.tilt_x_deg": [1.0, 2.0], "south.height_m": [4.0, 4.5]}
     result["spread"] = {"searched": list(ends), "seeds": [], "mountings": 9, "optimum_interval_90": ends}
     north, south = map(optimum_text, each_lidar(result).values())
-    assert "height between 2.0 and 3.0 m" in north
+    assert "height 2.0 to 3.0 m" in north
     assert "tilt" in north
     assert "4.5" not in north
-    assert "height between 4.0 and 4.5 m" in south
+    assert "height 4.0 to 4.5 m" in south
     assert "tilt" not in south
-    assert [text[:5] for text in cautions(result) if "ther traffic of this kind" in text] == ["north", "south"]
+    told = [one.text for one in run_document(result).statements if "ther traffic of this kind" in one.text]
+    assert [text[:5].lower() for text in told] == ["north", "south"]
 
 
 def test_a_bound_that_is_reached_is_told_with_the_name_and_the_table(result):
     result["objective"] = result["baseline"]["objective"] + 1.0
     for row in result["lidars"]:
         row["deployment"]["height_m"] = 4.5
-    notes = [text for text in cautions(result) if "The best height lies" in text]
+    notes = [one.text for one in run_document(result).of(CAUTION) if "The height lies" in one.text]
     assert len(notes) == 1
-    assert notes[0].startswith("north: The best height")
+    assert notes[0].startswith("north: The height")
     assert "[lidar]" in notes[0]
 
 
@@ -146,13 +155,11 @@ def test_range_gates_and_imperfections_are_told_of_each_where_they_differ(result
     assert "north exact; south drop-out 10 %" in text
 
 
-def test_each_mast_has_a_sheet_with_its_neighbour_and_its_own_share(run):
+def test_each_mast_has_a_sheet_with_its_neighbour(run):
     for name, other in (("north", "south"), ("south", "north")):
         text = run.read_text(f"installation_{name}.txt")
         assert text.startswith(f"Installation of LiDAR {name} (")
         assert re.search(rf"(?m)^Beside it +{other} \(RS-\d+\).*: x ", text)
-        alone = next(one for one in run.result["layout"]["parts"] if one["name"] == name)["alone"]
-        assert f"{name} alone has {100 * alone['detectable_share']:.0f}" in " ".join(text.split())
         row = next(one for one in run.result["lidars"] if one["name"] == name)
         assert f"Height       {row['deployment']['height_m']:.2f} m" in text
     assert not run.file("installation.txt").exists()
@@ -179,7 +186,6 @@ def test_python_gives_what_each_lidar_has_by_its_name(run, tmp_path):
     assert len(history["best"]) > 60
     assert np.isnan(np.asarray(history["north.height_m"])).any()
     assert "north" in found._repr_html_()
-    assert "north, RS-16" in dict(key_figures(run.result))
     with pytest.raises(InputError, match="north, south"):
         found.plot.score_map("west")
     assert found.plot.score_map("north").startswith(b"\x89PNG")
@@ -199,17 +205,17 @@ def test_evaluate_tells_of_a_given_layout_without_a_search(tmp_path, capsys, mon
     without_charts(monkeypatch)
     scene = write_layout(tmp_path, NORTH, SOUTH)
     out, _ = done(capsys, "evaluate", scene, "--lidar", "north,height_m=4,tilt_x_deg=10", "--out", tmp_path / "e")
-    assert "The RS-16 north 4.00 m above the road" in out
+    assert "RS-16 4.00 m above the road" in " ".join(out.split())
     assert "the best single LiDAR of them" in " ".join(out.split())
     assert "installation_north.txt, installation_south.txt" in out
-    assert "a bound of" not in out
+    assert "at the bound of" not in out
 
 
 def test_a_layout_with_errors_beside_one_that_hangs_already_is_told(tmp_path, capsys):
     held = {**NORTH, "height_m": 4.0, "tilt_x_deg": 15.0}
     scene = write_layout(tmp_path, held, {**SOUTH, "installer": {"tilt_deg": 1.0}})
     out, _ = done(capsys, "optimise", scene, "--out", tmp_path / "r")
-    for text in ("what hung already (north)", "As hung, on ", "Searched north: nothing"):
+    for text in ("what hung already (north)", ", as hung; baseline", "Searched north: nothing"):
         assert text in " ".join(out.split())
     assert not any(line.startswith("north: Other traffic") for line in out.splitlines())
     assert (tmp_path / "r" / "convergence.png").exists()

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from blender_lidar.report.cautions import seeds_text
+from blender_lidar.run.answer import seeds_text
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.statistics import best_intervals_90, interval_90, resampled_weights
 from tests.refusals import refused

@@ -17,10 +17,10 @@ from blender_lidar.detection.scores import recall
 from blender_lidar.detection.stored import read_dataset
 from blender_lidar.errors import InputError
 from blender_lidar.report.detection import detection_table
-from blender_lidar.report.summary import approaches_text
-from blender_lidar.report.tables import table_text
+from blender_lidar.report.text import table_text
 from blender_lidar.road.driven import driven_area
 from blender_lidar.road.road_map import polygon_holds
+from blender_lidar.run.quantities import group_shares
 from blender_lidar.scene.scenario import scenario_of
 from blender_lidar.scene.site import prepare
 from blender_lidar.scoring.evaluation import Evaluator
@@ -184,11 +184,15 @@ def test_a_detector_is_judged_by_approach_and_the_sheet_tells_each_approachs_sha
     text = table_text(detection_table({"frames": 3, "mountings": {"mounting": result}}))
     assert "from_west     vehicles" in text
     groups = [
-        {"by": "approach", "name": name, "after": share, "after_interval_90": ends}
-        for name, share, ends in (("from_east", 0.56, [0.44, 0.69]), ("from_west", 0.97, None))
+        {"by": "approach", "name": name, "after": share, "after_interval_90": ends, "distinct_vehicles": vehicles}
+        for name, share, ends, vehicles in (
+            ("from_east", 0.56, [0.44, 0.69], 30),
+            ("from_west", 0.97, None, 10),
+            ("from_north", 0.5, None, 9),  # too few to be told
+        )
     ]
-    assert approaches_text({"groups": groups}) == "detectable by approach: from_east 56 % (44 to 69), from_west 97 %"
-    assert approaches_text({}) == ""
+    shares = group_shares({"groups": groups}, "approach")
+    assert {name: str(one) for name, one in shares.items()} == {"from_east": "56 % (44 to 69)", "from_west": "97 %"}
 
 
 def test_detectors_look_where_vehicles_count_and_find_some(site):

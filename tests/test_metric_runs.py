@@ -19,9 +19,11 @@ from blender_lidar.metrics.metric import vehicle_returns
 from blender_lidar.metrics.vehicle_metrics import TIE_BREAKER
 from blender_lidar.plugins import short_name
 from blender_lidar.report.html import escaped
-from blender_lidar.report.summary import measured, objective_text
+from blender_lidar.report.page import minus
 from blender_lidar.run.folder import RunFolder
+from blender_lidar.run.quantities import amount, quantities
 from blender_lidar.run.vehicle_table import METRIC_VALUE, vehicle_table
+from blender_lidar.run.words import objective_text
 from blender_lidar.scene.mounting import Mast, Mounting
 from blender_lidar.scene.observation import Observation, Scoring
 from blender_lidar.scene.scenario import load_scenario
@@ -181,20 +183,15 @@ def test_what_is_told_of_a_run_has_the_metrics_unit_and_no_other(runs, name):
     assert page_of(RunFolder(folder)) == page
     assert metric.in_unit("objective per vehicle") in page
     assert metric.tells in page
-    held = result_of(folder)["holdout"]
-    gain, ends = held["gain_over_baseline"], held["interval_90"]
-    ends = ends if gain >= 0.0 or not ends else [-end for end in reversed(ends)]
-    amount = f"{measured(metric, abs(gain), ends)[0]} {metric.unit} per vehicle".replace("  ", " ")
-    amount = " of the vehicles are detectable" if metric.of_share else f"the objective {_gains(gain)} {amount}"
-    assert amount in " ".join(sheet.split())
+    told, held = quantities(result_of(folder)), result_of(folder)["holdout"]
+    gain = amount(metric, "", "", held["gain_over_baseline"], held["interval_90"], signed=True)
+    assert gain.unit == ("points" if metric.of_share else metric.unit)
+    assert str(told["after"]) in " ".join(sheet.split())
+    assert minus(str(told["points" if metric.of_share else "objective"])) in page
     assert escaped(objective_text(result_of(folder))) in page
     if metric.unit != "bits":
         assert "bits" not in page
         assert "bits" not in sheet
-
-
-def _gains(gain: float) -> str:
-    return "gains" if gain >= 0.0 else "loses"
 
 
 def test_a_run_goes_on_with_its_metric_alone(runs, capsys):

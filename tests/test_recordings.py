@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from blender_lidar.errors import InputError
-from blender_lidar.report.summary import worth
 from blender_lidar.run.folder import SCENE, RunFolder
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recordings
 from blender_lidar.toml_table import to_toml
 from blender_lidar.traffic import Recording, RepairReport, joined_recordings
 from tests.refusals import refused
+from tests.report_samples import said
 from tests.small_scene import (
     MAPPED,
     REGION,
@@ -187,14 +187,15 @@ def test_a_search_over_two_recordings_resumes_and_its_scene_reads_as_it_was(tmp_
 
 def test_the_answer_tells_each_recording_and_which_is_seen_worst(tmp_path, capsys):
     out, _ = done(capsys, "evaluate", scene_of(tmp_path, MORNING, EVENING), "--height", 3, "--out", tmp_path / "run")
-    rows = {line.split()[0]: line for line in out.splitlines() if line.startswith(("  morning", "  evening"))}
-    assert set(rows) == {"morning", "evening"}
     result = json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))
     worst = min(result["recordings"], key=lambda row: row["holdout"]["objective_per_vehicle"])
-    assert f"Recording {worst['name']} is seen worst: {worst['holdout']['objective_per_vehicle']:.4f}" in out
+    assert f"Of the recordings {worst['name']} is worst: {worst['holdout']['objective_per_vehicle']:.4f}" in out
+    out, _ = done(capsys, "report", tmp_path / "run", "--all")
+    rows = {line.split()[0]: line for line in out.splitlines() if line.startswith(("morning", "evening"))}
+    assert set(rows) == {"morning", "evening"}
     words = " ".join(out.split())
     assert "The frames of a recording together count as its weight. The objective per vehicle is the weighted" in words
-    assert "and the weighted share " in worth(result | {"metric": "detectable"})
+    assert "; weighted share " in said(result | {"metric": "detectable"}, "answer")
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "morning.csv and evening.csv" in page
     assert "Each recording alone" in page

@@ -10,10 +10,10 @@ import pytest
 
 from blender_lidar.casting import is_available
 from blender_lidar.errors import InputError
-from blender_lidar.report.summary import definitions
 from blender_lidar.road.driven import driven_area
 from blender_lidar.road.settings import RoadSettings, map_of
 from blender_lidar.run.folder import RunFolder
+from blender_lidar.run.words import definitions
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import prepare, read_recordings
 from blender_lidar.scoring.evaluation import site_evaluator
@@ -152,8 +152,8 @@ def test_a_run_says_who_is_scored_and_its_tables_have_their_classes(tmp_path, ca
     done(capsys, "evaluate", path, "--height", 3, "--out", tmp_path / "run")
     run = RunFolder(tmp_path / "run")
     assert {"pedestrian", "bicycle"} < set(run.optimised["class"].tolist())
-    said = definitions(run.result)["objective"]
-    assert "those in view (car, van, truck, bus, motorcycle, bicycle, pedestrian)" in said
+    said = definitions(run.result)["Objective"]
+    assert "those of car, van, truck, bus, motorcycle, bicycle, pedestrian" in said
     assert "pedestrian 2" in said
     again = read_table(str(tmp_path / "run" / "vehicles.csv"))
     assert {"pedestrian", "bicycle"} < {CLASSES[index] for index in again.class_index}

@@ -9,11 +9,11 @@ import pytest
 
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError
-from blender_lidar.report.summary import definitions
-from blender_lidar.report.tables import group_tables
 from blender_lidar.run.folder import RunFolder
+from blender_lidar.run.quantities import run_tables
 from blender_lidar.run.searches import fresh_auto_search
 from blender_lidar.run.verdict import map_scores
+from blender_lidar.run.words import definitions
 from blender_lidar.scene.deployment import SearchSpace
 from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.observation import Observation, Scoring, check_weights, vehicle_weights
@@ -140,12 +140,11 @@ def test_the_score_map_and_the_tables_by_group_weigh_too(run):
     assert score_map.block_vehicles.sum() == len(scores(outcome.baseline, outcome.baseline["split"] == "search"))
     whole = score_map.block_objective.sum(axis=-1) / score_map.block_vehicles.sum()
     np.testing.assert_allclose(score_map.per_vehicle, whole, rtol=1e-9)
-    ((_, rows),) = group_tables(outcome.result)[0].sections
-    name, *_, before, _ = rows[0]
+    name, *_, before, _ = next(one for one in run_tables(outcome.result) if one.key == "by distance").rows[0]
     near = (outcome.baseline["distance_m"] < float(name.split("-")[1].split()[0])) & (
         outcome.baseline["split"] == "holdout"
     )
-    assert float(before) == pytest.approx(np.mean(scores(outcome.baseline, near)), abs=0.0051)
+    assert before.value == pytest.approx(np.mean(scores(outcome.baseline, near)), abs=0.0051)
 
 
 def test_studies_and_rungs_of_a_search_see_the_same_weights(run):
@@ -164,9 +163,9 @@ def test_studies_and_rungs_of_a_search_see_the_same_weights(run):
 def test_a_result_tells_its_weights(run):
     outcome, _ = run
     assert outcome.result["identity"]["[objective] class_weights"] == CLASSES
-    assert "van 2, truck 3, in left lane x 2" in definitions(outcome.result)["objective"]
+    assert "van 2, truck 3, in left lane x 2" in definitions(outcome.result)["Objective"]
     plain = outcome.result["identity"] | {"[objective] class_weights": {}, "[objective] zones": []}
-    assert "weight" not in definitions(outcome.result | {"identity": plain})["objective"]
+    assert "weight" not in definitions(outcome.result | {"identity": plain})["Objective"]
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.casting import is_available
-from blender_lidar.report.cautions import (
-    fleet_text,
-    heights_text,
-    lorries_text,
-    next_metre_text,
-    other_traffic_text,
-    other_traffic_texts,
-)
+from blender_lidar.run.answer import fleet_text, lorries, next_metre, other_traffic_statements
 from blender_lidar.run.as_hung import FEW_ERRORS, errors_of_frames
 from blender_lidar.run.what_if import (
     LORRY_SHARES,
@@ -273,9 +266,12 @@ def test_no_box_of_an_intersection_overlaps_another_that_it_did_not_before(cross
 
 def test_at_an_intersection_the_approach_whose_lorries_cost_most_is_named(seen_at_crossing):
     rows = {mix["approach"]: mix["detectable_share"] for mix in seen_at_crossing["mixes"] if mix["approach"]}
-    text = lorries_text({"other_traffic": seen_at_crossing, "holdout": {}})
-    assert text.startswith(f"If every car and van of approach {min(rows, key=rows.get)} were a lorry, in a queue as")
-    assert "; of the vehicles" not in text
+    told = lorries({"other_traffic": seen_at_crossing})
+    start = (
+        f"Lorries in place of every car and van of approach {min(rows, key=rows.get)}, each as long as its gap allows: "
+    )
+    assert told.text.startswith(start)
+    assert told.quantities[0].interval_90 is None  # it was chosen on what it is told on
 
 
 def test_a_driven_area_has_lorries_too(tmp_path):
@@ -284,7 +280,7 @@ def test_a_driven_area_has_lorries_too(tmp_path):
     lorries = {mix["lanes"]: mix for mix in found["mixes"] if mix["lorries"] == 1.0}
     assert set(lorries) == {"approach west", "the whole area"}
     assert lorries["the whole area"]["boxes"] > 0
-    assert "approach west were a lorry, in a queue" in lorries_text({"other_traffic": found})
+    assert "of approach west, each as long as its gap allows" in lorries({"other_traffic": found}).text
     large = [with_lorries_in_place(site, None, share, 1) for share in (0.3, 0.6)]
     ids = [
         {int(number) for frame in one.search for number in frame.vehicle_id[frame.class_index == TRUCK]}
@@ -387,20 +383,19 @@ def cars_alone(folder, columns=HEADER):
 
 
 def test_cars_alone_are_told_with_their_sizes_and_whose_these_are(tmp_path):
-    end = "no lorry or bus is in the figures"
+    end = "no figure here has a lorry or bus"
     site = cars_alone(tmp_path)
     recorded = other_traffic(site, site.scenario.baselines)
-    assert fleet_text({"other_traffic": recorded}) == (
-        f"The recording has cars (4.3 x 1.8 x 1.5 m) alone, sizes as recorded; {end}"
-    )
+    assert fleet_text(recorded) == f"the recording has cars (4.3 x 1.8 x 1.5 m) alone, sizes as recorded: {end}"
     without = cars_alone(tmp_path / "flat", [name for name in HEADER if name != "height_m"])
     told = other_traffic(without, without.scenario.baselines)
-    assert ", height assumed, the usual of the class; " in fleet_text({"other_traffic": told})
-    assert other_traffic_texts({"other_traffic": told})[0].startswith("The recording has cars (4.3 x 1.8 x 1.5 m)")
+    assert ", height assumed, the usual of the class: " in fleet_text(told)
+    (first, *_) = other_traffic_statements({"other_traffic": told})
+    assert first.text.startswith("The recording has cars (4.3 x 1.8 x 1.5 m)")
 
 
 def test_a_recording_with_lorries_says_nothing_of_its_fleet(seen, seen_at_crossing):
-    assert fleet_text({"other_traffic": seen}) == fleet_text({"other_traffic": seen_at_crossing}) == ""
+    assert fleet_text(seen) == fleet_text(seen_at_crossing) == ""
 
 
 def test_sizes_that_a_sumo_type_leaves_to_defaults_are_told_as_assumed(tmp_path):
@@ -416,33 +411,39 @@ def test_sizes_that_a_sumo_type_leaves_to_defaults_are_told_as_assumed(tmp_path)
 
 def row_of(share, *lanes, vehicles=20, **more):
     by_lane = {f"lane {number + 1}": {"detectable_share": one, "distinct_vehicles": vehicles} for number, one in lanes}
-    row = {"interval_90": None, "boxes": 100, "detectable_share": share, "by_lane": by_lane, "by_approach": {}}
+    row = {
+        "interval_90": None,
+        "boxes": 100,
+        "distinct_vehicles": vehicles,
+        "detectable_share": share,
+        "by_lane": by_lane,
+        "by_approach": {},
+    }
     return {**row, "what": "", "value": "", "lanes": None, "lorries": None, "approach": None, **more}
 
 
-def test_the_line_names_the_lane_that_is_lost():
-    few = row_of(0.0, (2, 0.0), vehicles=9)["by_lane"]  # too few to be named
+def test_lorries_in_the_nearest_lane_are_told_beside_what_was_recorded():
     worst = row_of(0.67, (0, 0.95), (1, 0.52), lanes="the nearest lane (lane 1)", lorries=1.0)
-    worst["by_lane"] |= few
-    whole = row_of(0.99, (0, 1.0), (1, 0.98), (2, 1.0))
-    text = lorries_text({"other_traffic": {"frames": 20, "recorded": whole, "mixes": [worst]}})
-    assert text == (
-        "If every car and van of the nearest lane (lane 1) were a lorry, of all vehicles 67 of 100 boxes would be "
-        "detectable instead of 99 of 100 boxes, in 20 frames; of the vehicles in lane 2 then 52 % instead of 98 %"
+    whole = row_of(0.99, (0, 1.0), (1, 0.98)) | {"interval_90": [0.97, 1.0]}
+    told = lorries({"other_traffic": {"frames": 20, "recorded": whole, "mixes": [worst]}})
+    assert told.text == (
+        "Lorries in place of every car and van of the nearest lane (lane 1): 67 % of all vehicles detectable, "
+        "instead of 99.0 % (97.0 to 100.0) in the same 20 frames."
     )
 
 
 def test_other_heights_are_a_line_of_their_own_where_they_change_more_than_the_interval_holds():
     whole = row_of(0.87) | {"interval_90": [0.82, 0.92]}
-    for share, expected in ((0.84, ""), (0.79, "instead of 87 % (82 to 92)")):
+    for share, first in ((0.84, False), (0.79, True)):
         mix = row_of(share, what=OTHER_HEIGHTS, value="as in a real fleet")
         result = {"other_traffic": {"frames": 20, "recorded": whole, "mixes": [mix]}}
-        assert heights_text(result).endswith(expected)
-        assert bool(heights_text(result)) == bool(expected)
-        assert "other heights (as in a real fleet)" in other_traffic_text(result)
+        (told,) = other_traffic_statements(result)
+        assert told.first == first
+        assert told.text.startswith("Other heights (as in a real fleet): ")
+        assert told.text.endswith("instead of 87 % (82 to 92).")
 
 
-def test_where_the_height_lies_on_its_bound_the_next_metre_is_told_on_terminal_and_sheet(tmp_path, capsys, monkeypatch):
+def test_where_the_height_lies_on_its_bound_the_next_metre_is_told(tmp_path, capsys, monkeypatch):
     without_charts(monkeypatch)
     write_table(tmp_path / "traffic.csv", traffic_rows(vehicles=120))
     low = {"deployment": {"height_m": [2.0, 2.6], "tilt_x_deg": [0.0, 25.0]}, "sensor": {"range_gate_m": 35.0}}
@@ -453,27 +454,6 @@ def test_where_the_height_lies_on_its_bound_the_next_metre_is_told_on_terminal_a
     assert (beyond is not None) == (height >= 2.594)
     if beyond is not None:
         assert beyond["deployment"]["height_m"] == pytest.approx(height + 1.0)
-        said = next_metre_text(result)
-        sheet = " ".join((tmp_path / "run" / "installation.txt").read_text(encoding="utf-8").split())
-        assert said in " ".join(out.split())
-        assert said in sheet
-    assert lorries_text(result) in " ".join(out.split())
-
-
-def test_the_lane_that_is_told_under_lorries_is_the_one_that_sees_least():
-    def row(**shares):
-        groups = {name: {"distinct_vehicles": 20, "detectable_share": share} for name, share in shares.items()}
-        share = float(np.mean(list(shares.values())))
-        return {"detectable_share": share, "boxes": 60, "interval_90": None, "by_lane": groups, "by_approach": {}}
-
-    recorded, lorries = row(**{"lane 1": 0.5, "lane 2": 0.9}), row(**{"lane 1": 0.4, "lane 2": 0.6})
-    mix = {
-        "what": "lorries",
-        "value": "100 %",
-        "lanes": "the nearest lane",
-        "lorries": 1.0,
-        "approach": None,
-        **lorries,
-    }
-    text = lorries_text({"other_traffic": {"recorded": recorded, "mixes": [mix], "frames": 3, "in_place": False}})
-    assert "of the vehicles in lane 1 then 40 % instead of 50 %" in text
+        text, told = next_metre(result)
+        assert text.format(**told) in " ".join(out.split())
+    assert lorries(result).text in " ".join(out.split())

@@ -229,7 +229,7 @@ def _cautions(result: Mapping) -> Iterator[Statement]:
             for found in _on_bounds(one):
                 yield statement(CAUTION, of_name(_safe(name), found[0]), first=True, **found[1])
             yield from _sentences(CAUTION, *(of_name(name, text) for text in _missed(one)), first=True)
-    yield from _other_traffic(result)
+    yield from other_traffic_statements(result)
     if was_searched(result):
         yield from _sentences(CAUTION, poles_text(result), first=True)
         yield from _sentences(NOTE, *(of_name(name, optimum_text(one)) for name, one in each), first=True)
@@ -339,7 +339,7 @@ def _grid(one: Mapping) -> str:
     return f"a grid of {score_map['points'][0]} x {score_map['points'][1]} heights and {tilts}{through}"
 
 
-def _other_traffic(result: Mapping) -> Iterator[Statement]:
+def other_traffic_statements(result: Mapping) -> Iterator[Statement]:
     """What is detectable under traffic that is not in the recording: lorries first."""
     other = result["other_traffic"]
     yield from _sentences(NOTE, fleet_text(other), first=True)

@@ -29,9 +29,10 @@ from blender_lidar.detection.judge import (
     sensor_at,
 )
 from blender_lidar.detection.scores import paired_intervals
+from blender_lidar.document import Table
 from blender_lidar.files import make_folder, write_text
 from blender_lidar.report.figure import BASELINE_LOOK, OPTIMISED_LOOK, sheet
-from blender_lidar.report.tables import TextTable, table_text
+from blender_lidar.report.text import table_text
 from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scene.scenario import load_scenario
 from blender_lidar.scene.site import Site, prepare
@@ -165,7 +166,7 @@ def _speed(args) -> None:
 
 def _tell(args, stem: str, title: str, rows: list[dict]) -> None:
     """A table on standard output and as text, and all of it as JSON."""
-    head = [("", 1), ("vehicles", 1), ("with return", 1), *((name.replace("_", " "), 1) for name in MEASURED)]
+    columns = ("", "vehicles", "with return", *(name.replace("_", " ") for name in MEASURED))
     cells = []
     for row in rows:
         mountings = row["result"]["mountings"].values()
@@ -179,7 +180,7 @@ def _tell(args, stem: str, title: str, rows: list[dict]) -> None:
         for name, gains in row.items():
             if "than" in name and gains:
                 cells.append((f"  {name}", "", "", *(_difference(gains[measure]) for measure in MEASURED)))
-    text = table_text(TextTable(title, [head], [("", cells)]))
+    text = table_text(Table(stem, title, columns, tuple(cells)))
     print(text, flush=True)
     write_text(args.out / f"{stem}.txt", text + "\n")
     write_text(args.out / f"{stem}.json", json.dumps(rows, indent=1) + "\n")
