@@ -10,7 +10,6 @@ import pytest
 from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.run.folder import RunFolder
-from blender_lidar.run.quantities import run_tables
 from blender_lidar.run.searches import fresh_auto_search
 from blender_lidar.run.verdict import map_scores
 from blender_lidar.run.words import definitions
@@ -140,11 +139,11 @@ def test_the_score_map_and_the_tables_by_group_weigh_too(run):
     assert score_map.block_vehicles.sum() == len(scores(outcome.baseline, outcome.baseline["split"] == "search"))
     whole = score_map.block_objective.sum(axis=-1) / score_map.block_vehicles.sum()
     np.testing.assert_allclose(score_map.per_vehicle, whole, rtol=1e-9)
-    name, *_, before, _ = next(one for one in run_tables(outcome.result) if one.key == "by distance").rows[0]
-    near = (outcome.baseline["distance_m"] < float(name.split("-")[1].split()[0])) & (
+    group = next(one for one in outcome.result["groups"] if one["by"] == "distance")
+    near = (outcome.baseline["distance_m"] < float(group["name"].split("-")[1].split()[0])) & (
         outcome.baseline["split"] == "holdout"
     )
-    assert before.value == pytest.approx(np.mean(scores(outcome.baseline, near)), abs=0.0051)
+    assert group["objective_before"] == pytest.approx(np.mean(scores(outcome.baseline, near)), abs=0.0051)
 
 
 def test_studies_and_rungs_of_a_search_see_the_same_weights(run):

@@ -277,9 +277,9 @@ def test_at_an_intersection_the_approach_whose_lorries_cost_most_is_named(seen_a
 def test_a_driven_area_has_lorries_too(tmp_path):
     site = prepare(load_scenario(driven_scene(tmp_path)))
     found = other_traffic(site, site.scenario.baselines)
-    lorries = {mix["lanes"]: mix for mix in found["mixes"] if mix["lorries"] == 1.0}
-    assert set(lorries) == {"approach west", "the whole area"}
-    assert lorries["the whole area"]["boxes"] > 0
+    alone = {mix["lanes"]: mix for mix in found["mixes"] if mix["lorries"] == 1.0}
+    assert set(alone) == {"approach west", "the whole area"}
+    assert alone["the whole area"]["boxes"] > 0
     assert "of approach west, each as long as its gap allows" in lorries({"other_traffic": found}).text
     large = [with_lorries_in_place(site, None, share, 1) for share in (0.3, 0.6)]
     ids = [

@@ -77,7 +77,7 @@ def _title(result: Mapping) -> str:
     searched = f"{'searched' if was_searched(result) else 'scored'} on {counted(result['frames'], 'frame')}"
     on = f"{counted(basis.boxes, 'box')} of {counted(basis.vehicles, 'vehicle')}"
     blocks = f", {counted(basis.blocks, 'block')} of time" if basis.blocks else ""
-    text = f"{result['sensor']} at {result['site']}: {searched}"
+    text = f"{sensor_text(result)} at {result['site']}: {searched}"
     if basis.split == HELD_OUT:
         return f"{text}, judged on {basis.boxes:,} held-out boxes (of {counted(basis.vehicles, 'vehicle')}{blocks})"
     if basis.split == LEFT_OUT:
@@ -488,7 +488,7 @@ def _notes(result: Mapping) -> Iterator[Statement]:
         for name, one in each_lidar(result).items():
             yield from _sentences(NOTE, *(of_name(name, text) for text in _checked(one)))
         yield from _sentences(NOTE, seeds_text(result))
-    yield from _sentences(NOTE, *result["notes"], *result["traffic_report"]["notes"])
+    yield from _sentences(NOTE, *dict.fromkeys((*result["notes"], *result["traffic_report"]["notes"])))
 
 
 def _checked(one: Mapping) -> Iterator[str]:

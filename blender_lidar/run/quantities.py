@@ -212,34 +212,41 @@ _FEW_BOXES = 10  # fewer are counts, and in one row together
 def _groups(result: Mapping) -> Iterator[Table]:
     """Detectable share and objective per vehicle of groups of boxes, before and after, a table for each kind of group.
 
-    Groups of fewer than ten boxes are counts, in one row, "others", where there are several.
+    Groups of fewer than ten boxes are counts, several beside larger ones in one row, "others".
     """
     metric, basis = metric_named(result["metric"]), judged(result)[2]
     columns = ("boxes", "vehicles", "detectable: before", "detectable: after", "detectable: gain")
     columns += ("objective: before", "objective: after")
     for by in dict.fromkeys(group["by"] for group in result["groups"]):
         groups = [group for group in result["groups"] if group["by"] == by]
-        rows, few = [], [group for group in groups if group["boxes"] < _FEW_BOXES]
-        for group in groups:
-            if group not in few:
-                ends = {when: {"detectable_share": group[when], "ends": group[f"{when}_interval_90"]} for when in _WHEN}
-                shares = _shares(*ends.values(), group["gain"], group["gain_interval_90"])
-                means = (
-                    None if (mean := group[f"objective_{when}"]) is None else amount(metric, "objective", "", mean)
-                    for when in _WHEN
-                )
-                rows.append((group["name"], f"{group['boxes']:,}", f"{group['distinct_vehicles']:,}", *shares, *means))
-        if few:
-            name = "others" if len(few) > 1 else few[0]["name"]
-            boxes = sum(group["boxes"] for group in few)
-            seen = (f"{round(sum(group[when] * group['boxes'] for group in few))} of {boxes}" for when in _WHEN)
-            vehicles = f"{few[0]['distinct_vehicles']}" if len(few) == 1 else None
-            rows.append((name, f"{boxes}", vehicles, *seen, None, None, None))
+        few = [group for group in groups if group["boxes"] < _FEW_BOXES]
+        rows = [_group_row(group, metric) for group in groups if group not in few]
+        if len(few) > 1 and rows:
+            rows.append(_counted_row("others", few))
+        else:
+            rows += [_counted_row(group["name"], [group]) for group in few]
         title = f"By {by}, {basis.split} frames{', exactly as planned' * bool(errors_text(result))}"
         yield Table(f"by {by}", title, (by, *columns), tuple(rows), basis)
 
 
 _WHEN = "before", "after"
+
+
+def _group_row(group: Mapping, metric: Metric) -> tuple:
+    """Numbers of boxes and vehicles of a group, shares and objective before and after."""
+    ends = ({"detectable_share": group[when], "ends": group[f"{when}_interval_90"]} for when in _WHEN)
+    means = (group[f"objective_{when}"] for when in _WHEN)
+    objective = (None if mean is None else amount(metric, "objective", "", mean) for mean in means)
+    shares = _shares(*ends, group["gain"], group["gain_interval_90"])
+    return (group["name"], f"{group['boxes']:,}", f"{group['distinct_vehicles']:,}", *shares, *objective)
+
+
+def _counted_row(name: str, groups: Sequence[Mapping]) -> tuple:
+    """How many boxes of small groups are detectable before and after."""
+    boxes = sum(group["boxes"] for group in groups)
+    seen = (f"{round(sum(group[when] * group['boxes'] for group in groups))} of {boxes}" for when in _WHEN)
+    vehicles = f"{groups[0]['distinct_vehicles']}" if len(groups) == 1 else None
+    return (name, f"{boxes}", vehicles, *seen, None, None, None)
 
 
 def _poles(result: Mapping) -> Table:
