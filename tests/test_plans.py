@@ -329,8 +329,9 @@ def test_smoothing_sums_the_cells_of_a_square(seed):
 
 def test_rings_of_distance_are_about_every_lidar_and_their_labels_clear_of_each_other(tmp_path, figures):  # noqa: F811
     mounts = {"north": mount(4.0, x_m=-12.0, y_m=14.0), "a south one": mount(4.0, x_m=11.0, y_m=-13.0)}
-    rows = [{"name": name, "installer": False, "deployment": at, "leans": False} for name, at in mounts.items()]
-    several = {"lidars": rows, "baseline": {**run_of().result["baseline"], "deployments": mounts}, "deployment": None}
+    of_each = {"installer": False, "leans": False, "range_gate_m": 60.0}
+    rows = [{"name": name, "deployment": at, "baseline": at, **of_each} for name, at in mounts.items()]
+    several = {"lidars": rows, "spread": None}
     plot_blind_zones(tmp_path / "r.png", run_of(table(1), **several), crossing())
     figure = figures[0]
     for axes in figure.axes[:2]:

@@ -225,24 +225,31 @@ def _outline_zone(axes, zone):
 
 _RING = {"color": "#707070", "linestyle": (0, (1.0, 2.0)), "linewidth": 0.8}
 _RINGS = 6  # at most, from a LiDAR to the farthest edge of the plan
-_CLEAR_MM = (7.5, 3.0)  # between the middles of two texts, to the right and upwards
+_CHARACTER_MM, _BESIDE_MM, _ABOVE_MM = 0.7, 3.5, 3.0  # from a label to the middle of another text, and by half a letter
 _INSIDE_MM = 2.5  # of the plan's edge
 
 
 def _draw_rings(axes: Axes, places: Sequence[tuple[float, float]], window: np.ndarray) -> None:
-    """Circles of round distances about each LiDAR, labelled to its sides, else above or below, clear of other texts."""
+    """Circles of round distances about each LiDAR, of several labelled on the side away from the others, if free."""
     size, metre = max(float(np.abs(window - xy).max()) for xy in places), mm_per_m(axes)
     step = next((one for one in (5.0, 10.0, 20.0, 50.0) if size / one <= _RINGS), 100.0)
-    turn = np.linspace(0.0, 2.0 * math.pi, 361)
+    turn, ways = np.linspace(0.0, 2.0 * math.pi, 361), np.array([(-1.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
     box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.6}
     look = {"ha": "center", "va": "center", "fontsize": 6.0, "color": INK, "bbox": box, "zorder": 5.5, "clip_on": True}
     low, high = window + np.array([[1.0], [-1.0]]) * _INSIDE_MM / metre
-    taken = [*places, *(text.get_position() for text in axes.texts)]
+    taken = [(*xy, _BESIDE_MM + 2.0) for xy in places]
+    taken += [(*text.get_position(), _BESIDE_MM + _CHARACTER_MM * len(text.get_text())) for text in axes.texts]
     for radius in np.arange(step, 1.5 * size, step):
-        for x, y in places:
-            axes.plot(x + radius * np.cos(turn), y + radius * np.sin(turn), zorder=2.5, **_RING)
-            spots = np.array([(x - radius, y), (x + radius, y), (x, y + radius), (x, y - radius)])
-            for spot in spots[((spots > low) & (spots < high)).all(axis=1)][:2]:
-                if (np.abs(spot - taken) * metre > _CLEAR_MM).any(axis=1).all():
-                    axes.text(*spot, f"{radius:g} m", **look)
-                    taken.append(tuple(spot))
+        for xy in places:
+            axes.plot(*(xy + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)).T, zorder=2.5, **_RING)
+            outwards = np.argsort(-ways @ (xy - np.mean(places, axis=0)), kind="stable")
+            free = [
+                (x, y)
+                for x, y in xy + radius * ways[outwards]
+                if (low < (x, y)).all()
+                and ((x, y) < high).all()
+                and not any(abs(x - u) * metre < w and abs(y - v) * metre < _ABOVE_MM for u, v, w in taken)
+            ]
+            for x, y in free[: 2 if len(places) == 1 else 1]:
+                axes.text(x, y, f"{radius:g} m", **look)
+                taken.append((x, y, _BESIDE_MM + 4 * _CHARACTER_MM))
