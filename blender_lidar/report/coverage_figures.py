@@ -225,8 +225,8 @@ def _outline_zone(axes, zone):
 
 _RING = {"color": "#707070", "linestyle": (0, (1.0, 2.0)), "linewidth": 0.8}
 _RINGS = 6  # at most, from a LiDAR to the farthest edge of the plan
-_CHARACTER_MM, _BESIDE_MM, _ABOVE_MM = 0.7, 3.5, 3.0  # from a label to the middle of another text, and by half a letter
-_INSIDE_MM = 2.5  # of the plan's edge
+_CHARACTER_MM, _BESIDE_MM, _ABOVE_MM = 0.7, 3.5, 3.0  # half of a letter; between middles of texts besides
+_INSIDE_MM = (3.5, 1.5)  # of the plan's edges, the middle of a label
 
 
 def _draw_rings(axes: Axes, places: Sequence[tuple[float, float]], window: np.ndarray) -> None:
@@ -236,7 +236,7 @@ def _draw_rings(axes: Axes, places: Sequence[tuple[float, float]], window: np.nd
     turn, ways = np.linspace(0.0, 2.0 * math.pi, 361), np.array([(-1.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
     box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 0.6}
     look = {"ha": "center", "va": "center", "fontsize": 6.0, "color": INK, "bbox": box, "zorder": 5.5, "clip_on": True}
-    low, high = window + np.array([[1.0], [-1.0]]) * _INSIDE_MM / metre
+    low, high = window + np.outer([1.0, -1.0], _INSIDE_MM) / metre
     taken = [(*xy, _BESIDE_MM + 2.0) for xy in places]
     taken += [(*text.get_position(), _BESIDE_MM + _CHARACTER_MM * len(text.get_text())) for text in axes.texts]
     for radius in np.arange(step, 1.5 * size, step):
