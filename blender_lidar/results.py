@@ -143,7 +143,7 @@ class Plots:
     run: Run
 
     def score_map(self, lidar: str = "") -> Picture:
-        """Objective over height and tilt, with the optimum and the baseline; of several LiDARs that of one."""
+        """Objective over height and tilt, with the optimum, and the baseline on its pole; of several LiDARs of one."""
         names = each_lidar(self.run.result)
         if lidar not in names:
             raise unknown_name(lidar, names, "LiDAR", "score_map")
@@ -162,13 +162,9 @@ class Plots:
         return self._drawn("plot_by_distance")
 
     def blind_zones(self) -> Picture:
-        """Where on the road vehicles are not detectable, before and after."""
+        """Where on the road vehicles are not detectable, and how far half of them are, before and after."""
         scenario = self.run.site.scenario
         return self._drawn("plot_blind_zones", road=scenario.road_map, zones=scenario.objective.zones)
-
-    def reach(self) -> Picture:
-        """How far half of the vehicles are detectable, by bearing from each mounting."""
-        return self._drawn("plot_reach", road=self.run.site.scenario.road_map)
 
     def _drawn(self, name: str, **settings) -> Picture:
         from .report import run_figures

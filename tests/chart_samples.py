@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 
-from blender_lidar.report.cloud_figures import Found, Sight, plot_clouds, plot_detections, plot_occupancy
-from blender_lidar.report.coverage_figures import plot_blind_zones, plot_reach
+from blender_lidar.report.cloud_figures import Found, Sight, plot_clouds, plot_detections
+from blender_lidar.report.coverage_figures import plot_blind_zones
 from blender_lidar.report.plan import Stand
 from blender_lidar.report.run_figures import plot_by_approach, plot_by_distance, plot_convergence, plot_score_map
 from blender_lidar.road.settings import RoadSettings, map_of
@@ -156,25 +155,6 @@ def detections(number: int = 300) -> dict[str, object]:
     return {"frame": frame, "found": found, **HEADINGS}
 
 
-def views(share: float, size: tuple[float, float, float] = CAR) -> dict[str, np.ndarray]:
-    """Occupancy grids of cells of 5 cm, filled at random."""
-    rng = np.random.default_rng(3)
-    length, width, height = (math.ceil(side / 0.05) for side in size)
-    shapes = {"top": (length, width), "side": (length, height), "front": (width, height)}
-    return {view: rng.random(shape) < share for view, shape in shapes.items()}
-
-
-def occupancy(before: float, after: float, size: tuple[float, float, float] = CAR) -> dict[str, object]:
-    """Arguments of the chart of a vehicle of which these shares of cells are hit."""
-    return {
-        "grids": [views(before, size), views(after, size)],
-        "size_m": size,
-        "cell_m": 0.05,
-        "headings": ["Baseline: height 2.00 m", "Optimised: height 4.00 m"],
-        **HEADINGS,
-    }
-
-
 def chart_arguments() -> dict[str, tuple[object, dict[str, object]]]:
     """Every chart with small arguments of its own."""
     run = {"run": run_of()}
@@ -183,11 +163,9 @@ def chart_arguments() -> dict[str, tuple[object, dict[str, object]]]:
         "score_map": (plot_score_map, {**run, "score_map": score_map()}),
         "by_distance": (plot_by_distance, run),
         "blind_zones": (plot_blind_zones, {**run, "road": ROAD}),
-        "reach": (plot_reach, {**run, "road": ROAD}),
         "by_approach": (plot_by_approach, {"result": run_of(groups=approach_groups()).result}),
         "clouds": (plot_clouds, {"vehicles": vehicles(4), "sights": sights(np.arange(12) % 3 > 0), **HEADINGS}),
         "detections": (plot_detections, detections()),
-        "occupancy": (plot_occupancy, occupancy(0.02, 0.1)),
     }
 
 

@@ -1,4 +1,4 @@
-"""Plans to scale: lanes and stop lines, scale and north, pictures from the air; cells and reach against oracles."""
+"""Plans to scale: lanes and stop lines, scale and north, pictures from the air; cells, contour and rings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.report import coverage_figures as coverage
 from blender_lidar.report import figure as canvas
 from blender_lidar.report import plan
-from blender_lidar.report.coverage_figures import Reach, cells_of, plot_blind_zones, plot_reach, reaches, unimodal
+from blender_lidar.report.coverage_figures import cells_of, plot_blind_zones
 from blender_lidar.report.road_plan import draw_road, road_lines
 from blender_lidar.report.run_figures import approach_rows, plot_by_approach
 from blender_lidar.report.site_plan import plot_mapped_plan
@@ -262,76 +262,91 @@ def test_cells_do_not_depend_on_how_many_boxes_are_looked_at_together(monkeypatc
         np.testing.assert_array_equal(one, two)
 
 
-def test_blind_zones_are_to_scale_and_cells_of_few_boxes_are_small(tmp_path, figures):  # noqa: F811
+@pytest.fixture
+def two_zones():
+    """A run whose boxes east of x = 0 are detectable and those to its west are not, but for few beyond 40 m."""
+    rng = np.random.default_rng(4)
+    x = np.concatenate([rng.uniform(-38.0, 38.0, 3000), [45.0, 45.0]])
+    y = np.concatenate([rng.uniform(4.0, 16.0, 3000), [8.0, 8.0]])
+    size = {"length_m": np.full(3002, 1.0), "width_m": np.full(3002, 1.0), "heading_deg": np.zeros(3002)}
+    seen = {"x_m": x, "y_m": y, **size, "distance_m": np.hypot(x, y), "detectable": x > 0.0}
+    return run_of(seen, deployment=mount(4.0, x_m=3.0, y_m=1.0))
+
+
+def test_blind_zones_are_to_scale_shaded_where_boxes_are_enough_and_hatched_where_they_are_few(
+    tmp_path,
+    figures,  # noqa: F811
+    two_zones,
+):
     from matplotlib.collections import PolyCollection
 
-    run = run_of(table(1), deployment=mount(4.0, x_m=3.0, y_m=1.0))
-    plot_blind_zones(tmp_path / "b.png", run, ROAD)
-    counts = cells_of(run.baseline, 2.0).boxes
+    plot_blind_zones(tmp_path / "b.png", two_zones, ROAD)
+    counts = cells_of(two_zones.baseline, 2.0).boxes
+    enough = counts >= coverage.FEW_BOXES
     for axes in figures[0].axes[:2]:
-        (shades,) = (
-            one for one in axes.collections if isinstance(one, PolyCollection) and one.get_clim() == (0.0, 100.0)
-        )
-        sides = np.array([np.ptp(path.vertices[:, 0]) for path in shades.get_paths()])
-        np.testing.assert_allclose(sides, np.where(counts[counts > 0] < coverage.FEW_BOXES, 1.0, 2.0))
+        squares = [shapes for shapes in axes.collections if isinstance(shapes, PolyCollection)]
+        (shades,) = (shapes for shapes in squares if shapes.get_clim() == (0.0, 100.0))
+        (hatched,) = (shapes for shapes in squares if shapes.get_hatch() == coverage._FEW["hatch"])
+        assert len(shades.get_paths()) == enough.sum()
+        assert len(hatched.get_paths()) == ((counts > 0) & ~enough).sum() > 0
+        corners = np.array([path.vertices[:4] for path in (*shades.get_paths(), *hatched.get_paths())])
+        np.testing.assert_allclose(np.ptp(corners, axis=1), 2.0)
+        assert any((np.abs(path.vertices - (45.0, 8.0)) < 2.0).all(axis=1).any() for path in hatched.get_paths())
         assert axes.get_aspect() == 1.0
     markers = [line.get_xydata()[0] for axes in figures[0].axes[:2] for line in axes.lines if line.get_marker() == "^"]
     np.testing.assert_array_equal(markers, [(0.0, 0.0), (3.0, 1.0)])
+    for text in ("half of the boxes detectable, in squares of 10 m", "fewer than 5 boxes", "no vehicle was there"):
+        assert text in words(figures[0])
 
 
-# --- reach ------------------------------------------------------------------------------------------------------------
+def test_the_contour_is_where_half_of_the_boxes_are_detectable_and_not_where_boxes_are_few(
+    tmp_path, monkeypatch, two_zones
+):
+    from matplotlib.axes import Axes
+
+    lines, contour = [], Axes.contour
+    monkeypatch.setattr(Axes, "contour", lambda *args, **look: lines.append(contour(*args, **look)) or lines[-1])
+    plot_blind_zones(tmp_path / "b.png", two_zones, ROAD)
+    assert len(lines) == 4  # in white below, on either panel
+    for line in lines:
+        places = np.concatenate(line.allsegs[0])
+        np.testing.assert_allclose(places[:, 0], 0.0, atol=1.5)
+        assert places[:, 1].min() < 6.0
+        assert places[:, 1].max() > 14.0
+    few = {key: values[::120] for key, values in two_zones.baseline.items()}
+    plot_blind_zones(tmp_path / "few.png", run_of(few), ROAD)
+    assert not any(map(len, (places for line in lines[4:] for places in line.allsegs[0])))
 
 
-def along(distance_m, detectable, bearing_deg=37.0, xy=(10.0, -4.0)):
-    turn = math.radians(bearing_deg)
-    return {
-        "x_m": xy[0] + np.asarray(distance_m) * math.cos(turn),
-        "y_m": xy[1] + np.asarray(distance_m) * math.sin(turn),
-        "detectable": np.asarray(detectable),
-    }
+@given(seed=st.integers(0, 2**32 - 1))
+def test_smoothing_sums_the_cells_of_a_square(seed):
+    counts = np.random.default_rng(seed).integers(0, 9, (6, 9))
+    half = coverage._SPAN // 2
+    for row, column in np.ndindex(*counts.shape):
+        square = counts[max(row - half, 0) : row + half + 1, max(column - half, 0) : column + half + 1]
+        assert coverage.smoothed(counts)[row, column] == square.sum()
 
 
-def test_reach_ends_with_the_last_band_of_which_half_is_detectable():
-    distance = np.repeat(np.arange(12.0, 60.0, 5.0), 10)  # bands from 10 to 60 m
-    share = np.array([0.2, 0.6, 1.0, 0.9, 0.4, 0.7, 0.5, 0.4, 0.1, 0.0])
-    seen = np.concatenate([np.arange(10) < 10 * one for one in share])
-    # 0.4 and 0.7 violate the fall and are pooled to 0.55; then 0.5, which is still half: 10 + 7 x 5 m.
-    assert reaches(along(distance, seen), (10.0, -4.0)) == [Reach(2, 15.0, 45.0, False, 57.0)]
-
-
-def test_reach_goes_on_where_the_boxes_end_and_is_nothing_where_fewer_than_half_are_seen():
-    distance = np.linspace(8.0, 33.0, 30)
-    assert reaches(along(distance, np.ones(30, dtype=bool)), (10.0, -4.0)) == [
-        Reach(2, pytest.approx(8.0), pytest.approx(33.0), True, pytest.approx(33.0))
-    ]
-    assert reaches(along(distance, np.zeros(30, dtype=bool)), (10.0, -4.0)) == [
-        Reach(2, 0.0, 0.0, False, pytest.approx(33.0))
-    ]
-    few = coverage.FEW_IN_SECTOR - 1
-    assert reaches(along(distance[:few], np.ones(few, dtype=bool)), (10.0, -4.0)) == []
-
-
-@given(st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(1, 20)), min_size=1, max_size=5))
-def test_isotonic_regression_on_both_sides_of_the_peak_is_the_nearest_such_fit(pairs):
-    share, weight = np.array(pairs).T
-    fitted, peak = unimodal(share, weight), int(np.argmax(share))
-    assert (np.diff(fitted[: peak + 1]) >= -1e-12).all()
-    assert (np.diff(fitted[peak:]) <= 1e-12).all()
-    # The projection on a convex cone: no mean over a level set differs from the data's there.
-    for level in np.unique(fitted):
-        same = fitted == level
-        assert np.average(share[same], weights=weight[same]) == pytest.approx(level, abs=1e-9)
-    assert (weight * (share - fitted) * fitted).sum() == pytest.approx(0.0, abs=1e-9)
-
-
-def test_reach_is_drawn_on_the_plan_of_any_road(tmp_path, figures):  # noqa: F811
-    seen = along(np.linspace(8.0, 33.0, 40), np.arange(40) < 30)
-    run = run_of({**table(1, 40), **seen}, deployment=mount(4.0, x_m=10.0, y_m=-4.0))
-    for name, road in (("straight", ROAD), ("crossing", crossing())):
-        plot_reach(tmp_path / f"{name}.png", run, road)
-    for figure in figures:
-        assert all(axes.get_aspect() == 1.0 for axes in figure.axes)
-        assert "sectors of 15°" in words(figure).replace("\n", " ")
+def test_rings_of_distance_are_about_every_lidar_and_their_labels_clear_of_each_other(tmp_path, figures):  # noqa: F811
+    mounts = {"north": mount(4.0, x_m=-12.0, y_m=14.0), "a south one": mount(4.0, x_m=11.0, y_m=-13.0)}
+    of_each = {"installer": False, "leans": False, "range_gate_m": 60.0}
+    rows = [{"name": name, "deployment": at, "baseline": at, **of_each} for name, at in mounts.items()]
+    several = {"lidars": rows, "spread": None}
+    plot_blind_zones(tmp_path / "r.png", run_of(table(1), **several), crossing())
+    figure = figures[0]
+    for axes in figure.axes[:2]:
+        rings = [line.get_xydata() for line in axes.lines if line.get_color() == coverage._RING["color"]]
+        for xy in [(at["x_m"], at["y_m"]) for at in mounts.values()]:
+            radii = [np.hypot(*(ring - xy).T) for ring in rings]
+            found = sorted(round(one.mean(), 6) for one in radii if np.ptp(one) < 1e-9)
+            assert found[:3] == [20.0, 40.0, 60.0]
+        labels = [text for text in axes.texts if text.get_text().strip()]
+        assert {"20 m", "40 m", "north", "a south one"} <= {text.get_text() for text in labels}
+        boxes = [text.get_window_extent() for text in labels]
+        assert not any(one.overlaps(other) for number, one in enumerate(boxes) for other in boxes[number + 1 :])
+        distances = [box for text, box in zip(labels, boxes, strict=True) if text.get_fontsize() == 6.0]
+        assert len(distances) > 3
+        assert all(axes.bbox.contains(*box.min) and axes.bbox.contains(*box.max) for box in distances)
 
 
 # --- approaches, and the plan of a mapped site ------------------------------------------------------------------------

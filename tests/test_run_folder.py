@@ -43,7 +43,7 @@ RESULT_KEYS = {
     *("objective", "holdout", "baseline", "evaluations", "seconds", "versions"),
     *SCORES,
 }
-CHARTS = ("convergence", "score_map", "by_distance", "blind_zones", "reach", "clouds", "occupancy", "other_traffic")
+CHARTS = ("convergence", "score_map", "by_distance", "blind_zones", "clouds", "other_traffic")
 
 
 @pytest.fixture(scope="module")

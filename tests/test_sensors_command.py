@@ -13,7 +13,7 @@ import pytest
 from blender_lidar.commands import sensors
 from blender_lidar.commands.parsers import add_verbs
 from blender_lidar.errors import BlenderLidarError, InputError, MissingFileError
-from blender_lidar.report.beam_fan import fan_text, ground_distance_m
+from blender_lidar.report.beam_fan import ground_distance_m
 from blender_lidar.sensors.model import load_model, model_names
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -121,19 +121,6 @@ def test_rings_meet_the_road_where_trigonometry_says():
     distance = ground_distance_m(load_model("RS-16"))
     np.testing.assert_allclose(distance[:7], [4.0 / math.tan(math.radians(a)) for a in (15, 13, 11, 9, 7, 5, 3)])
     assert np.all(np.isinf(distance[7:]))  # the last one downwards lands at 229 m, the sensor sees 150 m far
-
-
-def test_the_text_fan_counts_the_rings_on_the_road_by_distance():
-    fan = fan_text(load_model("RS-16"))
-    assert "0-20 m 2, 20-40 m 3, 40-60 m 1, 60-80 m 1, 80-100 m 0, further 0" in fan
-    marks = next(line for line in fan.splitlines() if line.startswith(" rings |"))
-    assert sum(int(mark) for mark in marks if mark.isdigit()) == 7
-
-
-def test_the_text_fan_draws_a_level_beam_as_a_level_line(tmp_path):
-    fan = fan_text(load_model(own_sensor(tmp_path, "0,0\n")))
-    drawn = [line for line in fan.splitlines()[:13] if "." in line]
-    assert drawn == ["   4 m |" + "." * 81]
 
 
 def test_the_chart_is_a_png_and_json_stays_alone_on_stdout(tmp_path, capsys):

@@ -136,15 +136,6 @@ def test_cells_of_a_car_that_one_view_needs_to_reach_the_papers_threshold(view, 
     assert (cells - 1) / total < 0.005 <= cells / total
 
 
-def test_the_views_to_be_drawn_hold_the_same_occupancy():
-    rng = np.random.default_rng(8)
-    points = rng.uniform(-0.52, 0.52, (300, 3)) * CAR
-    views = vgop.occupancy_views(points, CAR[0])
-    p = vgop.occupancy(points, np.zeros(300, dtype=int), CAR)[0]
-    assert [views[name].mean() for name in vgop.VIEW_NAMES] == pytest.approx(p.tolist())
-    assert views["top"].shape == (90, 36)
-
-
 def test_no_points_and_no_vehicles_are_fine():
     assert vgop.occupancy(np.empty((0, 3)), np.empty(0, dtype=int), CAR).tolist() == [[0, 0, 0]]
     assert vgop.occupancy(np.empty((0, 3)), np.empty(0, dtype=int), np.empty((0, 3))).shape == (0, 3)

@@ -440,8 +440,8 @@ def _sensors(subparsers) -> None:
     parser = _verb(
         subparsers,
         "sensors [NAME]",
-        "list the LiDAR models, or show one with its beam fan",
-        "List the LiDAR models; with NAME show one in full, with its beam fan and its table of rings.",
+        "list the LiDAR models, or show one in full",
+        "List the LiDAR models; with NAME show one in full, with its table of rings; --out draws its beam fan.",
         "RS-16",
         "own_sensor.csv --out fan.png",
     )

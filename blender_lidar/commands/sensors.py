@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..report.beam_fan import MOUNT_HEIGHT_M, fan_text, ground_distance_m, plot_beam_fan
+from ..report.beam_fan import MOUNT_HEIGHT_M, ground_distance_m, plot_beam_fan
 from ..report.text import text_table
 from ..sensors.model import LidarModel, load_model, model_names, with_columns
 
@@ -149,8 +149,7 @@ def _portrait(model: LidarModel) -> str:
     for name, text in values.items():
         if text:
             lines += textwrap.wrap(f"{name:<17}{text}", _WIDTH, subsequent_indent=" " * 17, break_on_hyphens=False)
-    level = f"Level at {MOUNT_HEIGHT_M:g} m, from the side, heights stretched; below it how many rings meet the road"
-    return "\n".join([*lines, "", level, "", fan_text(model), "", *_ring_table(model, of["beams"])])
+    return "\n".join([*lines, "", *_ring_table(model, of["beams"])])
 
 
 def _listed(rates: Sequence[float]) -> str:

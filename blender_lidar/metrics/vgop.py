@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..names import DEFAULT_CELL_M
-from .view_grids import VIEW_AXES, VIEW_NAMES, ViewGrids, cell_counts
+from .view_grids import ViewGrids
 
 
 def to_vehicle_frame(
@@ -125,34 +125,6 @@ def pe_vgop(
 ) -> np.ndarray:
     """PE-VGOP of each vehicle (Eq. 9) [bits], (n,); parameters as in `occupancy`."""
     return entropy(occupancy(points, vehicle, size, cell_m, reading)).sum(axis=1)
-
-
-def occupancy_views(points: np.ndarray, size: np.ndarray, cell_m: float = DEFAULT_CELL_M) -> dict[str, np.ndarray]:
-    """The three occupancy grids of one vehicle, to be drawn (the paper's Fig. 4).
-
-    Parameters
-    ----------
-    points : ndarray, (k, 3)
-        The vehicle's points in its own frame [m].
-    size : ndarray, (3,)
-        Length, width and height of its box [m].
-
-    Returns
-    -------
-    dict of str to ndarray of bool
-        ``top`` (length cells, width cells), ``side`` (length, height) and ``front`` (width, height).
-    """
-    points, size = _triples(points, "points"), np.asarray(size, dtype=float)
-    if size.shape != (3,):
-        raise InputError(f"size has shape {size.shape}; allowed: (3,)")
-    size = size[None]
-    cells = cell_counts(size, cell_m)[0]
-    index, _ = ViewGrids(size, cell_m).cells_of(points, np.zeros(len(points), dtype=np.int64))
-    views = {}
-    for name, (row, column) in zip(VIEW_NAMES, VIEW_AXES, strict=True):
-        views[name] = np.zeros((cells[row], cells[column]), dtype=bool)
-        views[name][index[row], index[column]] = True
-    return views
 
 
 def _triples(values, name):

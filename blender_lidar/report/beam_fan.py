@@ -1,4 +1,4 @@
-"""The beam fan of a LiDAR: where its beams meet the road, as text for a terminal and as a chart."""
+"""The beam fan of a LiDAR: its beams from the side, and where they meet the road."""
 
 from __future__ import annotations
 
@@ -16,14 +16,6 @@ if TYPE_CHECKING:
 MOUNT_HEIGHT_M = 4.0
 FAN_REACH_M = 100.0
 _TOP_M = 6.0  # the picture's upper edge
-_BAND_M = 20.0
-
-# Of the text picture: a cell for each 0.5 m of height and 1.25 m of distance, those of the edges halfway beyond them.
-_UP_M = np.arange(-0.25, _TOP_M + 0.5, 0.5)
-_ALONG_M = np.arange(-0.625, FAN_REACH_M + 1.25, 1.25)
-_TICKS = range(0, int(FAN_REACH_M), 10)  # [m], each 8 cells wide
-_SHADES = " .:+#"  # by the beams in a cell
-_SHADE_FROM = (1, 2, 4, 8)
 
 
 def ground_distance_m(model: LidarModel, height_m: float = MOUNT_HEIGHT_M) -> np.ndarray:
@@ -34,28 +26,6 @@ def ground_distance_m(model: LidarModel, height_m: float = MOUNT_HEIGHT_M) -> np
     fall = -np.sin(model.elevation_rad)
     slant = np.divide(height_m, fall, out=np.full(model.rings, np.inf), where=fall > 0.0)
     return np.where(slant <= model.range_max_m, slant, np.inf) * np.cos(model.elevation_rad)
-
-
-def fan_text(model: LidarModel) -> str:
-    """Side view of a level sensor's beams at 4 m, 100 m far, and where they meet the road; within 100 characters.
-
-    The more beams cross a character's cell, the darker it is: ``.`` one, ``:`` from two, ``+`` from four, ``#`` from
-    eight.
-    """
-    way = np.linspace(0.0, 1.0, 4 * len(_ALONG_M))
-    beams = ((MOUNT_HEIGHT_M + (up - MOUNT_HEIGHT_M) * way, along * way) for along, up in _ends_m(model))
-    crossings = sum((np.histogram2d(*beam, (_UP_M, _ALONG_M))[0] > 0).astype(int) for beam in beams)
-    shades = np.array(list(_SHADES))[np.searchsorted(_SHADE_FROM, crossings, side="right")]
-    lines = []
-    for height, shade in zip(_UP_M[:0:-1] - 0.25, shades[::-1], strict=True):
-        label = f"{height:.0f} m" if height == int(height) else ""
-        lines.append(f"{label:>6} |{''.join(shade)}".rstrip())
-    distance = ground_distance_m(model)
-    landings, _ = np.histogram(distance[distance <= FAN_REACH_M], _ALONG_M)
-    marks = "".join(" " if count == 0 else str(count) if count < 10 else "*" for count in landings)
-    ruler, labels = "+-------" * len(_TICKS), "".join(f"{tick:<8}" for tick in _TICKS)
-    lines += [f"{'rings':>6} |{marks}".rstrip(), f"{'':6} +{ruler}+", f"{'':6}  {labels}{FAN_REACH_M:.0f} m", ""]
-    return "\n".join([*lines, _bands(distance)])
 
 
 def plot_beam_fan(model: LidarModel, path: str | Path) -> None:
@@ -86,16 +56,6 @@ def _ends_m(model: LidarModel) -> np.ndarray:
     with np.errstate(divide="ignore"):  # a level beam reaches neither edge
         length = np.minimum(model.range_max_m, np.minimum(FAN_REACH_M / along, room / np.abs(up)))
     return np.stack([length * along, MOUNT_HEIGHT_M + length * up], axis=1)
-
-
-def _bands(distance_m: np.ndarray) -> str:
-    """How many rings meet the road in each band of 20 m."""
-    edges = np.arange(0.0, FAN_REACH_M + _BAND_M, _BAND_M)
-    counts, _ = np.histogram(distance_m[distance_m <= FAN_REACH_M], edges)
-    parts = [f"{low:.0f}-{low + _BAND_M:.0f} m {count}" for low, count in zip(edges, counts, strict=False)]
-    unseen = int(np.isinf(distance_m).sum())
-    parts.append(f"further {len(distance_m) - int(counts.sum()) - unseen}")
-    return f"Rings that meet the road: {', '.join(parts)}\nRings that never do, or out of the sensor's range: {unseen}"
 
 
 def _draw_side(axes: Axes, model: LidarModel) -> None:

@@ -1,4 +1,4 @@
-"""What both mountings see: a frame's clouds and detections from above, and a vehicle's cells (the paper's Fig. 4)."""
+"""What both mountings see: a frame's point clouds, and a detector's boxes in them, from above."""
 
 from __future__ import annotations
 
@@ -12,27 +12,22 @@ import numpy as np
 from ..clouds.scan import PointCloud, joined_clouds
 from ..detection.judge import JudgedDetector, clouds_at, judging_frames, region_of_alarms, sensor_at
 from ..detection.scores import CONFIDENCES, CRITERIA, meetings
-from ..metrics.vgop import VIEW_NAMES, entropy, occupancy_views
 from ..run.folder import RunFolder
 from ..run.optimise import sensors_text
 from ..run.words import mounting_text, sides
 from ..scene.mounting import Layout
 from ..scene.site import Site
-from ..scoring.frame_scorer import FrameScorer
 from ..traffic.boxes import Boxes, corners_of
 from .figure import (
     FAINT,
     HEIGHT_COLOURS,
     INK,
     OPTIMISED_LOOK,
-    SMALL_PT,
     WIDTH_MM,
     colours,
-    header_mm,
     legend_below,
     mark_sensor,
     place,
-    sheet,
 )
 from .plan import Stand, draw_stands, plans, scale_bar, window_of
 from .road_plan import draw_road
@@ -288,112 +283,3 @@ def _draw_found(axes: Axes, frame: Boxes, one: Found) -> list[Artist]:
         axes.add_collection(LineCollection(ticks[chosen], color=look["edgecolor"], linewidth=0.8, zorder=3))
     patches = [Patch(label=name, **look) for name, (_, look) in {**detections, **vehicles}.items()]
     return [*patches, mark_sensor(axes, np.transpose([mounting.xy for mounting in one.layout]))]
-
-
-# --- One vehicle's three occupancy grids ------------------------------------------------------------------------------
-
-_LONGEST_MM = 79.0  # room for a vehicle's length on half a sheet
-_LARGEST_SCALE = 20.0  # millimetres on paper for a metre: 1 to 50
-_TITLE_MM = 10.0  # above a mounting's drawing
-_PAD_MM = 3.0
-_GAP_MM = 7.0  # above each view, for its caption
-_LEAST_OUTLINED_MM = 0.5  # smaller cells would drown in their outlines
-_SIDES_OF_VIEW = {"top": (0, 1), "side": (0, 2), "front": (1, 2)}  # of the box, to the right and upwards
-
-
-def draw_occupancy(path: str | Path, site: Site, run: RunFolder) -> None:
-    """Draw the occupancy grids of a vehicle that gains a typical amount under both mountings of a run."""
-    searched, table = run.optimised["split"] == "search", run.optimised
-    before, after = run.baseline["entropy_bits"], table["entropy_bits"]
-    rows = np.flatnonzero(searched & (after > 0) & (before > 0))
-    if len(rows) == 0:
-        rows = np.flatnonzero(searched)
-    row = rows[np.argsort((after - before)[rows], kind="stable")[int(0.75 * (len(rows) - 1))]]
-    number, vehicle_id = int(table["frame"][row]), int(table["vehicle_id"][row])
-    frame = next(candidate for candidate in site.search if candidate.frame == number)
-    counted = frame.select(frame.counted)
-    index = int(np.flatnonzero(counted.vehicle_id == vehicle_id)[0])
-    scorer = FrameScorer(frame, site.observation)
-    size_m, cell_m = counted.size_m[index], site.observation.cell_m
-    grids = []
-    for _, _, mounts in sides(run.result):
-        each = zip(site.scenario.lidars, mounts.values(), strict=True)
-        points, owner = scorer.vehicle_points(*(one.mounting(at).pose for one, at in each))
-        grids.append(occupancy_views(points[owner == index], size_m, cell_m))
-    plot_occupancy(
-        path,
-        grids,
-        size_m,
-        cell_m,
-        [f"{name}: {text}" for name, text, _ in sides(run.result)],
-        f"Occupied cells of one {counted.class_name[index]}, vehicle {vehicle_id} in frame {number}",
-        f"{run.result['sensor']}, {table['distance_m'][row]:.0f} m away; "
-        "this vehicle gains more PE-VGOP than three quarters of the others",
-    )
-
-
-def plot_occupancy(
-    path: str | Path,
-    grids: Sequence[Mapping[str, np.ndarray]],
-    size_m: np.ndarray,
-    cell_m: float,
-    headings: Sequence[str],
-    title: str,
-    subtitle: str,
-) -> None:
-    """Draw the top, side and front grid of one vehicle under two mountings, all at one scale.
-
-    Parameters
-    ----------
-    path : str or Path
-        The PNG to write.
-    grids : two mappings of str to ndarray of bool
-        ``top`` (length cells, width cells), ``side`` (length, height) and ``front`` (width, height): True where a
-        point fell. Cell (0, 0) lies at the box's rear, right, bottom end of the two axes.
-    size_m : array_like, (3,)
-        Length, width and height of the box [m].
-    cell_m : float
-        Side of a cell [m].
-    headings : two str
-        What to write above each mounting's grids.
-    title, subtitle : str
-        Of the sheet.
-    """
-    from matplotlib.patches import Rectangle
-
-    length, width, height = size_m
-    scale = min(_LONGEST_MM / length, _LARGEST_SCALE)
-    drawing_mm = scale * (width + 2.0 * height) + 4.0 * _GAP_MM
-    top = header_mm(title, subtitle) + _TITLE_MM
-    with sheet(path, top + drawing_mm + _PAD_MM, title, subtitle, to_scale=True) as figure:
-        for side, (views, heading) in enumerate(zip(grids, headings, strict=True)):
-            axes = place(figure, 0.5 * WIDTH_MM * side + _PAD_MM, top, _LONGEST_MM, drawing_mm)
-            axes.set_axis_off()
-            axes.set(xlim=(0.0, _LONGEST_MM / scale), ylim=(-drawing_mm / scale, 0.0))
-            floor = total = 0.0
-            for view in VIEW_NAMES:
-                across, up = (size_m[axis] for axis in _SIDES_OF_VIEW[view])
-                floor -= _GAP_MM / scale + up
-                p = float(np.mean(views[view]))  # Eq. 7
-                total += entropy(p)
-                _draw_grid(axes, views[view], floor, cell_m, outlined=scale * cell_m >= _LEAST_OUTLINED_MM)
-                rim = {"fill": False, "edgecolor": "black", "linewidth": 1.0, "clip_on": False}
-                axes.add_patch(Rectangle((0.0, floor), across, up, **rim))
-                caption = f"{view} view, {across:.2f} m by {up:.2f} m: P = {p:.4f}, adds {entropy(p):z.3f} bits"
-                axes.text(0.0, floor + up + 1.0 / scale, caption, va="bottom", fontsize=SMALL_PT)
-            bar = floor - _GAP_MM / scale
-            axes.plot([0.0, 1.0], [bar, bar], "|-", color="black", linewidth=1.0, markersize=6.0, clip_on=False)
-            text = f"1 m; a cell is {cell_m:g} m by {cell_m:g} m"
-            axes.text(1.0 + 2.0 / scale, bar, text, va="center", fontsize=SMALL_PT)
-            axes.set_title(f"{heading}\nPE-VGOP {total:z.3f} bits")
-
-
-def _draw_grid(axes: Axes, grid: np.ndarray, floor: float, cell_m: float, *, outlined: bool) -> None:
-    """The cells of one view, dark where a point fell, from `floor` [m on the drawing] upwards."""
-    from matplotlib.colors import ListedColormap
-
-    lines = {"edgecolors": FAINT, "linewidth": 0.25} if outlined else {}
-    right, upwards = (cell_m * np.arange(cells + 1) for cells in grid.shape)
-    shades = ListedColormap(["white", OPTIMISED_LOOK["color"]])
-    values = grid.T.astype(float)
-    axes.pcolormesh(right, floor + upwards, values, cmap=shades, vmin=0.0, vmax=1.0, clip_on=False, **lines)

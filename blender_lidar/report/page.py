@@ -74,13 +74,14 @@ def settings_table(settings: Mapping[str, str]) -> Markup:
 CHARTS = {
     "score_map.png": (
         "Objective over mounting height and tilt",
-        "Brighter is better; the star is the best found, the square the baseline. "
+        "Brighter is better; the star is the answer, the square the baseline where it hangs on the same pole. "
         "Where a wide area is nearly as bright as the star, exact values matter little.",
     ),
     "convergence.png": (
         "Objective of every mounting tried, in order, and the best so far",
         "Each dot is a mounting that was tried, the line the best so far: where it is flat, further tries found "
-        "nothing better.",
+        "nothing better. With installation errors each frame has its own here; the answer is the best of the last few "
+        "under further errors, so its value in the score map may be lower than the end of the line.",
     ),
     "layout.png": (
         "Detectable share, and price, from one LiDAR to all",
@@ -98,13 +99,9 @@ CHARTS = {
     ),
     "blind_zones.png": (
         "Site from above, shaded by the share of vehicles below the threshold, for both mountings",
-        "To scale. Look for dark cells: there most vehicles stay below the threshold. A cell counts the boxes whose "
-        "footprints overlap it; small squares are cells of few boxes, which say little. The triangle is the LiDAR.",
-    ),
-    "reach.png": (
-        "Plan of the site with the distances up to which half of the boxes or more are detectable, for both mountings",
-        "To scale, by sectors of bearing from the LiDAR. Shares are made to fall with distance beyond their peak; a "
-        "dotted end means that the farthest boxes are still within reach. Nothing is drawn where too few boxes were.",
+        "To scale. Look for dark cells: there most vehicles stay below the threshold; on the blue contour half of them "
+        "are detectable. A cell counts the boxes whose footprints overlap it; hatched ones have too few to say. "
+        "Triangles are LiDARs, dotted circles distances from them.",
     ),
     "other_traffic.png": (
         "Detectable share under other traffic: lorries by lane or approach, light traffic, a queue",
@@ -120,17 +117,12 @@ CHARTS = {
         "The frame that has the median number of vehicles: outlines are detections, ticks point to their fronts; false "
         "alarms are dashed, missed vehicles hatched.",
     ),
-    "occupancy.png": (
-        "Occupied cells of one vehicle in top, side and front view, for both mountings",
-        "One vehicle as PE-VGOP sees it: a cell is dark where a beam has hit it, and the share of dark cells counts.",
-    ),
 }
 
 # What is to be added to captions of charts of several LiDARs.
 _OF_SEVERAL = {
     "score_map.png": " All other LiDARs hang where the search had put them.",
     "convergence.png": " A vertical line stands where another LiDAR was added.",
-    "reach.png": " A box counts at the LiDAR that is nearest to it.",
 }
 
 RENDER_COMPARISON = "render_comparison.png"  # of both mountings
@@ -227,7 +219,7 @@ def report_html(run: RunFolder) -> str:
             _where(run),
             _detection(run),
             _pictures("How sure the optimum is", chart_figures(run, "layout.png", "score_map.png", "convergence.png")),
-            _pictures("What the beams hit", chart_figures(run, "clouds.png", "occupancy.png")),
+            _pictures("What the beams hit", chart_figures(run, "clouds.png")),
             *(
                 _section(
                     f"Installation sheet{f' of {name}' * bool(name)}",
@@ -306,7 +298,7 @@ def _where(run: RunFolder):
     tables = [table_markup(one, class_="groups") for one in run.document.tables if one.key.startswith("by ")]
     drawn = any(run.file(name).exists() for name in CHARTS)
     charts = (
-        chart_figures(run, "by_approach.png", "by_distance.png", "blind_zones.png", "reach.png", "other_traffic.png")
+        chart_figures(run, "by_approach.png", "by_distance.png", "blind_zones.png", "other_traffic.png")
         if drawn
         else [element("p", _NO_CHARTS)]
     )

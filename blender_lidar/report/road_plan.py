@@ -10,7 +10,7 @@ import numpy as np
 
 from ..road.road_map import Lane, RoadMap
 from ..scene.region import polygon_holds
-from .figure import FAINT, INK
+from .figure import INK
 from .plan import arrow
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 ASPHALT_LOOK = {"facecolor": "#ededed", "edgecolor": "#ededed", "linewidth": 0.3}
 SEEN_THROUGH_LOOK = {"facecolor": "none", "edgecolor": "none"}
-EMPTY_LOOK = {"facecolor": "white", "edgecolor": FAINT, "hatch": "//////", "linewidth": 0.0}
 _OTHERS = {
     "bicycles": {"facecolor": "#f8f8f8", "edgecolor": "#c4c4c4", "hatch": "......", "linewidth": 0.0},
     "pedestrians": {"facecolor": "white", "edgecolor": "#c4c4c4", "hatch": "------", "linewidth": 0.0},

@@ -28,8 +28,8 @@ from ..run.words import (
 from ..scene.site import Site
 from ..statistics import FEW_VEHICLES
 from ..traffic.vehicles import counted
-from .cloud_figures import draw_clouds, draw_occupancy
-from .coverage_figures import plot_blind_zones, plot_reach
+from .cloud_figures import draw_clouds
+from .coverage_figures import plot_blind_zones
 from .figure import (
     BASELINE_LOOK,
     FAINT,
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
 FEWEST_VEHICLES = 5  # below this a band's average says little, and is not drawn
 BAND_M = 10.0
+_SAME_PLACE_M = 0.01
 
 
 def draw_charts(site: Site, run: RunFolder) -> list[str]:
@@ -76,10 +77,8 @@ def draw_charts(site: Site, run: RunFolder) -> list[str]:
         "blind_zones.png": partial(
             plot_blind_zones, run=run, road=road, zones=site.scenario.objective.zones, image=image
         ),
-        "reach.png": partial(plot_reach, run=run, road=road, image=image),
         "other_traffic.png": partial(plot_other_traffic, result=run.result),
         "clouds.png": partial(draw_clouds, site=site, run=run),
-        "occupancy.png": partial(draw_occupancy, site=site, run=run),
     }
     if approach_rows(run.result):
         charts["by_approach.png"] = partial(plot_by_approach, result=run.result)
@@ -94,11 +93,11 @@ def draw_charts(site: Site, run: RunFolder) -> list[str]:
 def plot_convergence(path: str | Path, run: RunFolder, history: Mapping[str, np.ndarray]) -> None:
     """Draw the convergence of the search: every candidate's objective per vehicle, and the best so far.
 
-    The `history` is that of the search, its columns by name: with installation errors each frame has its own. A
-    mounting without a finite value is left out.
+    The `history` is that of the search, its columns by name: with installation errors each frame has its own, and the
+    answer, chosen from the best few under further errors, may end lower. A mounting without a finite value is left out.
     """
     result, metric = run.result, metric_named(run.result["metric"])
-    over = " under installation errors" if errors_text(result) else ""
+    over, scored = (" under installation errors", " as searched") if errors_text(result) else ("", "")
     baseline = result["baseline"]["objective_per_vehicle_as_searched"]
     evaluation, vehicles = history["evaluation"], result["vehicles"]
     if WEIGHT in run.baseline:
@@ -114,7 +113,7 @@ def plot_convergence(path: str | Path, run: RunFolder, history: Mapping[str, np.
         known = np.isfinite(value)
         look = {"color": FAINT, "markersize": 2.5, "label": "one candidate"}
         dots = axes.plot(evaluation[known], metric.shown(value[known]), ".", **look)
-        look, label = _line(OPTIMISED_LOOK), f"best so far (at the end {metric.amount(best[-1])})"
+        look, label = _line(OPTIMISED_LOOK), f"best so far{scored} (at the end {metric.amount(best[-1])})"
         line = axes.step(evaluation, metric.shown(best), where="post", label=label, **look)
         label = f"baseline mounting ({metric.amount(baseline)})"
         level = axes.axhline(metric.shown(baseline), label=label, **_line(BASELINE_LOOK))
@@ -149,17 +148,19 @@ _TILT_LABELS = {
 def plot_score_map(path: str | Path, run: RunFolder, score_map: ScoreMap, lidar: str = "") -> None:
     """Draw the objective over the grid of heights and tilts, the optimum, the baseline and the near-best region.
 
-    It is of one LiDAR, of several the one that is named: the baselines of a layout are no point of its map.
-    All values are as hung. A mounting outside the grid is marked on its edge.
+    It is of one LiDAR, of several the one that is named: the baselines of a layout are no point of its map, nor is one
+    on another pole. With installation errors all values are as searched, each frame under its own, though the optimum
+    was chosen as hung, under further ones. A mounting outside the grid is marked on its edge.
     """
     result, metric = each_lidar(run.result)[lidar], metric_named(run.result["metric"])
-    marks = [("optimum", result, "*", 13.0), ("baseline", result["baseline"], "s", 7.0)]
-    marks = marks[:-1] if lidar else marks
+    scored, chosen = (" as searched", " as hung") if errors_text(result) else ("", "")
+    marks = [(f"optimum{chosen}", result, "*", 13.0)]
+    if not lidar and _on_one_pole(result["deployment"], result["baseline"]["deployment"]):
+        marks.append(("baseline", result["baseline"], "s", 7.0))
     grid, values = (score_map.tilt_deg, score_map.height_m), metric.shown(score_map.per_vehicle)
     what = "lean" if score_map.tilt == "lean_deg" else "tilt"
     about = f"{what} of {lidar}, the others held" if lidar else what
-    hung = " as hung" if errors_text(result) else ""
-    with sheet(path, 115.0, f"Objective{hung} over height and {about}", run_text(run.result)) as figure:
+    with sheet(path, 115.0, f"Objective{scored} over height and {about}", run_text(run.result)) as figure:
         axes = figure.add_subplot(xlabel=_TILT_LABELS[score_map.tilt], ylabel="Mounting height above the road [m]")
         mesh = axes.pcolormesh(*grid, values, cmap=colours(SCORE_COLOURS), shading="gouraud")
         figure.colorbar(mesh, ax=axes, label=metric.in_unit("Objective per vehicle"), pad=0.02)
@@ -169,12 +170,17 @@ def plot_score_map(path: str | Path, run: RunFolder, score_map: ScoreMap, lidar:
         handles = []
         for name, scores, marker, size in marks:
             look = {"marker": marker, "markersize": size}
-            amount = metric.amount(scores["objective_per_vehicle_as_searched"])
+            amount = metric.amount(scores["objective_per_vehicle_as_searched"]) + scored
             handles.append(_mark(axes, score_map, scores["deployment"], name, amount, look))
         best = max(result["objective_per_vehicle_as_searched"], score_map.per_vehicle.max())
         least = near_best_threshold(best, result["baseline"]["objective_per_vehicle_as_searched"], REGION_SHARE)
         handles.append(_draw_region(axes, score_map, least))
         legend_below(figure, handles, columns=len(handles))
+
+
+def _on_one_pole(mount: Mapping, other: Mapping) -> bool:
+    """Whether two mountings hang at one place, to the centimetre."""
+    return all(abs(mount[key] - other[key]) <= _SAME_PLACE_M for key in ("x_m", "y_m"))
 
 
 def _mark(axes: Axes, score_map: ScoreMap, mount: Mapping, name: str, amount: str, look: Mapping) -> Line2D:
