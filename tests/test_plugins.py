@@ -97,7 +97,7 @@ def test_the_examples_run(script, tmp_path):
         check=False,
     )
     assert run.returncode == 0, run.stderr
-    assert ("Hang the RS-16" in run.stdout) == (script.stem == "own_metric")
+    assert ("Hang it" in run.stdout) == (script.stem == "own_metric")
     assert ("own_search.py:Evolution: " in run.stdout) == (script.stem == "own_search")
 
 

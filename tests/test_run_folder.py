@@ -144,7 +144,7 @@ def test_json_on_stdout_is_the_result_file_to_the_byte_and_everything_else_is_on
     folder, run = mapped_run
     assert run.stdout == (folder / "result.json").read_text()
     assert "Sensor     RS-16" in run.stderr
-    assert f"Results in {folder}" in run.stderr
+    assert f"{folder}: report.html" in run.stderr
 
 
 def test_the_score_map_is_read_back_as_it_was_written(mapped_run):
@@ -187,7 +187,7 @@ def test_a_run_that_has_ended_is_shown_again_by_resume_with_its_map(mapped_run, 
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     out, err = done(capsys, "optimise", scene, "--detail", "box", "--out", folder, "--resume")
     assert "search:" not in err  # nothing is searched again
-    assert out[out.index("Mounting") : out.index("Results in")] in first.stderr
+    assert out[out.index("RS-16 at ") :] in first.stderr
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before  # shown from memory as from its files
 
 
@@ -244,7 +244,7 @@ def test_without_out_runs_are_numbered_under_runs(tmp_path, capsys):
     scene = write_scene(tmp_path)
     for name in ("scene_rs-16", "scene_rs-16_2"):
         out, _ = done(capsys, "optimise", scene)
-        assert f"Results in {Path('runs') / name}: " in out
+        assert f"{Path('runs') / name}: report.html" in out
         assert (tmp_path / "runs" / name / "result.json").exists()
 
 

@@ -184,8 +184,10 @@ def _lowest_beam(site, mounting):
 def _expected(document: Document) -> list[str]:
     """The two numbers to expect: what is detectable, and how sure that is."""
     told = (one for one in document.of(ANSWER, first=True) if one.label in ("Detectable", "How sure"))
-    lines = [document.title, *(f"{one.label}: {one.text}" for one in told)]
-    return ["Expected", *(line for text in lines for line in _item(text))]
+    return [
+        *textwrap.wrap(f"Expected: {document.title}", _WIDTH, subsequent_indent="  "),
+        *(line for one in told for line in _item(f"{one.label}: {one.text}")),
+    ]
 
 
 def _item(text: str) -> list[str]:

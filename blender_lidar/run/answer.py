@@ -552,6 +552,5 @@ def _settings(result: Mapping) -> dict[str, str]:
         "Metric": f"{result['metric']}, {result['reading']} reading",
         "Rays": f"cast by {result['caster']}, vehicles in detail {result['detail']}",
         "Traffic": result["identity"]["[traffic] path"],
-        "Time": f"{result['seconds']:.0f} s",
         **result["versions"],
     }
