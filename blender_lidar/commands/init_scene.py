@@ -117,11 +117,7 @@ height_m = 2.0
 seed = 1
 """
 _GATE_STEP_M = 5.0
-_AXES = {
-    "ngsim": ("Local_Y", "-Local_X"),
-    "sumo": ("x of the net", "y of the net"),
-    "table": ("x_m", "y_m"),
-}
+_AXES = {"ngsim": ("Local_Y", "-Local_X"), "sumo": ("x of the net", "y of the net"), "table": ("x_m", "y_m")}
 
 
 class Proposal(NamedTuple):

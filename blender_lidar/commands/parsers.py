@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any, NamedTuple, get_args
 
 from ..errors import InputError
@@ -19,8 +20,7 @@ from ..scene.deployment import MOUNTING_OR_LEAN
 from ..scene.settings import DECLARED, INSTALLER
 from ..toml_table import Setting, checked, limits_text, setting, settings_of
 
-MOUNTING_GROUP = "mounting"  # the group that has its coordinates too
-_OUTPUT = "output"  # the group that comes last
+_MOUNTING, _OUTPUT = "mounting", "output"  # groups: that with all coordinates, and the last one
 _UNITS = {"m": "m", "deg": "degrees", "s": "s", "hz": "Hz"}  # by how the name of a setting ends
 # Groups of a scene's options, by the table that each is of.
 _GROUPS = {
@@ -31,7 +31,7 @@ _GROUPS = {
     "search": ("search",),
     "computing": ("model",),
 }
-_ABOUT = {MOUNTING_GROUP: "coordinates that are not given are as the scene fixes them, else its baseline's"}
+_ABOUT = {_MOUNTING: "coordinates that are not given are as the scene fixes them, else its baseline's"}
 _COORDINATES = {
     key: replace(declared, metavar=key.rsplit("_", 1)[1].upper(), default=None)
     for key, declared in MOUNTING_OR_LEAN.items()
@@ -64,17 +64,12 @@ class Verb(NamedTuple):
     options: type
     without: Collection[str] | None = None
 
-    @property
-    def names(self) -> list[str]:
-        """What it may be called."""
-        name = self.usage.partition(" ")[0]
-        return [name, "optimize"] if name == "optimise" else [name]
-
 
 def add_verbs(subparsers, verbs: Collection[Verb], words: Collection[str] | None = None) -> None:
     """Describe verbs to argparse, their options too unless `words` are given and are not about the verb."""
     for verb in verbs:
-        (name, *aliases), (_, _, must) = verb.names, verb.usage.partition(" ")
+        name, _, must = verb.usage.partition(" ")
+        aliases = ["optimize"] if name == "optimise" else []
         doc = inspect.getdoc(verb.options) or ""
         what, description, *_ = (*doc.split("\n\n"), "")  # python -OO has no docstrings
         examples = re.search(r"^Examples\n-+\n((?:.+\n?)+)", doc, re.MULTILINE)
@@ -88,7 +83,7 @@ def add_verbs(subparsers, verbs: Collection[Verb], words: Collection[str] | None
             epilog=f"examples:{''.join(lines)}" if lines else "",
         )
         parser.set_defaults(run=verb.run, given=())
-        if words is None or not set(words).isdisjoint(verb.names):
+        if words is None or not {name, *aliases}.isdisjoint(words):
             _add_options(parser, verb)
 
 
@@ -100,28 +95,19 @@ def _add_options(parser: argparse.ArgumentParser, verb: Verb) -> None:
             _add_option(group, *one)
 
 
-class _Option(NamedTuple):
-    """An option: its name in Python, the key of its setting, the declaration, and the value where it is not given."""
-
-    name: str
-    key: str
-    declared: Setting
-    default: object
-
-
-def _groups(verb: Verb) -> dict[str, list[_Option]]:
-    """The options of a verb by the titles of their groups."""
+def _groups(verb: Verb) -> dict[str, list[tuple[str, str, Setting, object]]]:
+    """The options of a verb by the titles of their groups: name in Python, key, declaration, value if not given."""
     groups: dict[str, list] = {}
     for title, tables in _GROUPS.items() if verb.without is not None else ():
         asked = ((option, *one) for option, one in SCENE_OPTIONS.items() if option not in verb.without)
-        if found := [_Option(as_name(option), key, one, None) for option, table, key, one in asked if table in tables]:
+        if found := [(as_name(option), key, one, None) for option, table, key, one in asked if table in tables]:
             groups[title] = found
     title = ""
     for key, declared in settings_of(verb.options).items():
         title = title if declared.group is None else declared.group
-        groups.setdefault(title, []).append(_Option(key, key, declared, declared.default))
-        if declared.group == MOUNTING_GROUP:
-            groups[title] += [_Option(key, key, one, None) for key, one in _COORDINATES.items()]
+        groups.setdefault(title, []).append((key, key, declared, declared.default))
+        if declared.group == _MOUNTING:
+            groups[title] += [(key, key, one, None) for key, one in _COORDINATES.items()]
     return groups
 
 
@@ -325,17 +311,16 @@ def parse_pairs(text: str, option: str, such_as: str) -> dict[str, float | str]:
     return table
 
 
-def _parse_installer(text: str, option: str) -> dict[str, float | str] | bool:
-    """A table of half-widths from "tilt_deg=1,height_m=0.05", or false; the scene's checks see to its keys."""
-    return text != "false" and parse_pairs(text, option, "tilt_deg=1,height_m=0.05, or false")
+def _parse_errors(text: str, option: str, word: str, no_errors: object) -> Any:
+    """Half-widths from "tilt_deg=1,height_m=0.05", or a word for no errors; the scene's checks see to the keys."""
+    return no_errors if text == word else parse_pairs(text, option, f"tilt_deg=1,height_m=0.05, or {word}")
 
 
-def _parse_pose_error(text: str, option: str) -> dict[str, float | str] | None:
-    """The same, None from "none"."""
-    return None if text == "none" else parse_pairs(text, option, "tilt_deg=1,height_m=0.05, or none")
-
-
-_READ = {"--installer": _parse_installer, "--pose-error": _parse_pose_error, "--frame-ids": parse_frames}
+_READ = {
+    "--installer": partial(_parse_errors, word="false", no_errors=False),
+    "--pose-error": partial(_parse_errors, word="none", no_errors=None),
+    "--frame-ids": parse_frames,
+}
 SCENE_OPTIONS: Mapping[str, tuple[str, str, Setting]] = {
     declared.option: (table, key, replace(declared, read=_READ.get(declared.option)))
     for table, settings in DECLARED.items()

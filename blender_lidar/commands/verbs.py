@@ -1,6 +1,6 @@
 """Every verb of the command line, declared: what it is called, what carries it out, and its options.
 
-The docstring of its options is its help: what it does, what each option is, and examples.
+The docstring of its options is its help: what it does, in a line and in a paragraph, and examples.
 The standard library alone, so that help opens at once.
 """
 
@@ -11,17 +11,7 @@ from functools import partial
 from ..names import CLOUD_SUFFIXES, DATASET_LAYOUTS
 from ..scene.settings import TrafficSettings
 from .cloud_options import CommissionOptions, CompareOptions, Output, RecordedOptions, ScoreOptions
-from .parsers import (
-    MOUNTING_GROUP,
-    Verb,
-    option,
-    option_of,
-    options,
-    parse_frames,
-    parse_place,
-    parse_range,
-    parse_share,
-)
+from .parsers import Verb, option, option_of, options, parse_frames, parse_place, parse_range, parse_share
 
 SUSTECHPOINTS = "sustechpoints"
 _HIGHEST_M, _FARTHEST_M = 30.0, 60.0  # of a table
@@ -53,9 +43,7 @@ class OfFrames(OfScene):
 class OfMounting(OfScene):
     """Where its LiDARs hang, besides by coordinates."""
 
-    pole: str | None = option(
-        "--pole NAME", "candidate pole of the scene on which the LiDAR hangs", group=MOUNTING_GROUP
-    )
+    pole: str | None = option("--pole NAME", "candidate pole of the scene on which the LiDAR hangs", group="mounting")
     lidar: tuple[str, ...] | None = option(
         "--lidar NAME,...",
         "of a scene with several LiDARs, where one hangs: its name and coordinates, north,height_m=4.1,pole=NE; "
@@ -415,12 +403,7 @@ VERBS = (
         StabilityOptions,
         without=("--fidelity", "--seeds", "--pose-error"),  # it has fidelities and seeds of its own
     ),
-    Verb(
-        "chart SCENE.toml",
-        "studies.run_chart",
-        ChartOptions,
-        without=(*_SEARCH, "--installer", "--pose-error"),
-    ),
+    Verb("chart SCENE.toml", "studies.run_chart", ChartOptions, without=(*_SEARCH, "--installer", "--pose-error")),
     Verb("scan SCENE.toml --frame K --out CLOUD", "scan.run_scan", ScanOptions, without=_ONE),
     Verb("detect SCENE.toml|DATASET|CLOUDS", "detect.run", DetectOptions, without=_MANY),
     Verb("dataset SCENE.toml", "dataset.run", DatasetOptions, without=_MANY),
