@@ -15,6 +15,7 @@ from contextlib import suppress
 from . import __doc__ as question
 from . import __version__
 from .commands.parsers import add_verbs
+from .commands.verbs import VERBS
 from .errors import BlenderLidarError, MissingExtraError, one_line, output_error
 from .signals import stops_deferred, stops_recognised, stops_watched
 
@@ -69,7 +70,8 @@ def _exit_code(argv: Sequence[str] | None) -> int:
 
 
 def _carried_out(argv: Sequence[str] | None) -> int:
-    (parser, verbs), words = _parsers(), _joined(sys.argv[1:] if argv is None else argv)
+    words = _joined(sys.argv[1:] if argv is None else argv)
+    parser, verbs = _parsers(words)
     try:
         args, unknown = parser.parse_known_args(words)
         if unknown:  # argparse would name the help of the whole command line
@@ -144,12 +146,12 @@ def _drop_stdout() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
-    """The parser of the whole command line, and that of each verb."""
+def _parsers(words: Sequence[str]) -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+    """The parser of the whole command line, and that of each verb; that of the one that is asked for with options."""
     parser = _OneLineParser(prog="blender-lidar", description=question)
     parser.add_argument("--version", action="version", version=f"blender_lidar {__version__}")
     subparsers = parser.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=_OneLineParser)
-    add_verbs(subparsers)
+    add_verbs(subparsers, VERBS, words)
     return parser, subparsers.choices
 
 

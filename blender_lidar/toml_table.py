@@ -60,7 +60,11 @@ class Setting:
     is_path : bool
         Whether it is a path: in a file it starts from the file's folder, as an option from the working folder.
     option : str
-        The option of the command line that gives it; empty where none does.
+        The option of the command line that gives it, or the name of its place there; empty where none does.
+    group : str or None
+        Title of the options from this one on in the help of a verb; None goes on with the one before.
+    read : callable
+        What makes the value of the option's text and its name, where that is no plain number or text, and checks it.
     rivals : tuple of str
         Keys of the same table that the option puts out of force.
     metavar : str
@@ -83,6 +87,8 @@ class Setting:
     form: str = ""
     is_path: bool = False
     option: str = ""
+    group: str | None = None
+    read: Callable[[str, str], Any] | None = None
     rivals: tuple[str, ...] = ()
     metavar: str = ""
     help: str = ""

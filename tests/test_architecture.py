@@ -181,7 +181,7 @@ def test_a_room_imports_only_rooms_that_it_may(path):
 
 
 STRAIGHT_ROAD = {"carriageways_y", "lane_width_m", "right_edge_m", "setback_m"}
-PROPOSES_A_STRAIGHT_ROAD = ("traffic/layout.py", "report/site_plan.py", "commands/init.py")
+PROPOSES_A_STRAIGHT_ROAD = ("traffic/layout.py", "report/site_plan.py", "commands/init_scene.py")
 
 
 def test_only_the_room_of_the_road_and_its_proposal_know_how_a_straight_road_lies():

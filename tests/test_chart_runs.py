@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from blender_lidar.commands.studies import parse_share
+from blender_lidar.commands.parsers import parse_share
 from blender_lidar.scene.mounting import Mounting
 from blender_lidar.scoring.fidelity import Fidelity
 from blender_lidar.studies import chart as study

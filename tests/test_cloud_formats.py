@@ -196,8 +196,8 @@ def test_scan_writes_a_cloud_for_each_of_many_frames(tmp_path, capsys):
         (["--frame-ids", "20,999", "--out", "clouds"], "--frame-ids: .*999"),
         (["--frame-ids", "20", "--out", "scene.toml"], "is a file; allowed: a folder"),
         (["--frame-ids", "20", "--format", "xyz", "--out", "clouds"], "--format: invalid choice: 'xyz'"),
-        (["--frame", "20", "--frame-ids", "20", "--out", "clouds"], "not allowed with"),
-        (["--out", "cloud.npz"], "--frame --frame-ids is required"),
+        (["--frame", "20", "--frame-ids", "20", "--out", "clouds"], "--frame: is given beside --frame-ids"),
+        (["--out", "cloud.npz"], "--frame: is missing; allowed: --frame K, or --frame-ids"),
     ],
 )
 def test_bad_choices_of_frames_and_formats_are_one_line(tmp_path, monkeypatch, capsys, words, says):

@@ -19,6 +19,7 @@ import pytest
 
 from blender_lidar import __version__
 from blender_lidar.commands.parsers import add_verbs
+from blender_lidar.commands.verbs import VERBS
 from blender_lidar.errors import InputError, MissingFileError
 from blender_lidar.scene.lidars import LIDAR
 from blender_lidar.scene.scenario import load_scenario, numbered_tables
@@ -137,7 +138,7 @@ def option_rows(actions) -> list[str]:
             continue
         name, value = (action.option_strings or [action.metavar])[0], action.metavar if action.option_strings else ""
         value = "\\|".join(action.choices) if action.choices else " ".join(value) if isinstance(value, tuple) else value
-        text = action.help.replace("%(default)s", str(action.default)).replace("%%", "%")
+        text = action.help.replace("%%", "%")
         rows.append(f"| `{name}{f' {value}' if value and action.nargs != 0 else ''}` | {text.replace('<', '&lt;')} |")
     return rows
 
@@ -146,7 +147,7 @@ def options_table() -> str:
     """Every option once: those that replace a scene's keys, those that several verbs have, and each verb's own."""
     parser = argparse.ArgumentParser(prog="blender-lidar")
     subparsers = parser.add_subparsers()
-    add_verbs(subparsers)
+    add_verbs(subparsers, VERBS)
     declared = ((one.option, table, key) for table, keys in DECLARED.items() for key, one in keys.items() if one.option)
     keys_of: dict[str, str] = {}
     for option, table, key in declared:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from blender_lidar.cli import main
-from blender_lidar.commands.init import _path, _road_lines, _text
+from blender_lidar.commands.init_scene import filled, path_value, straight_scene, text_value
 from blender_lidar.errors import InputError
 from blender_lidar.road import RoadSettings
 from blender_lidar.scene.provenance import run_identity
@@ -219,7 +219,8 @@ def asked(path, **settings):
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_both_carriageways_and_the_side_that_is_driven_on_are_found(form, heading, side, tmp_path):
     rows = both_ways(side, heading)
-    layout = asked(write_rows(tmp_path / "run.fcd.xml", rows) if form == "sumo" else table_of(tmp_path / "t.csv", rows))
+    path = write_rows(tmp_path / "run.fcd.xml", rows) if form == "sumo" else table_of(tmp_path / "t.csv", rows)
+    layout = asked(path)
     road = layout.road
     assert (road.drives_on, road.carriageways, road.lanes) == (side, 2, 2)
     assert road.lane_width_m == pytest.approx(WIDE_M, abs=0.2)
@@ -232,7 +233,8 @@ def test_both_carriageways_and_the_side_that_is_driven_on_are_found(form, headin
     assert layout.lane_y == pytest.approx(road.setback_m + 1.75 + np.array([0.0, 3.5, 14.5, 18.0]), abs=0.3)
     assert not any("another carriageway" in note for note in layout.notes)
     if form == "sumo":
-        (lanes,) = (line for line in _road_lines(layout, form) if line.startswith("lanes"))
+        text = filled(straight_scene(read_traffic(path, road=UNPLACED), layout, form).fields)
+        (lanes,) = (line for line in text.splitlines() if line.startswith("lanes"))
         assert f"the file's lanes {'1, 2' if side == 'right' else '2, 1'} along x;" in lanes
 
 
@@ -453,15 +455,23 @@ def test_a_folder_with_foreign_files_is_refused(tmp_path, capsys):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "traffic.csv"]
 
 
+def test_a_line_of_the_template_needs_its_fields_and_is_there_for_each_entry_of_a_list():
+    assert set(tomllib.loads(filled({}))) == {"traffic", "road", "region", "sensor", "deployment", "baseline", "search"}
+    lines = filled({"note": ["one", "two"], "road": "", "net": '"a.net.xml"', "lanes": 3}).splitlines()
+    assert [line for line in lines if line.startswith("# Note")] == ["# Note: one", "# Note: two"]
+    assert {'net = "a.net.xml"', "x_m = 0.0  # along the road"} <= set(lines)
+    assert not any("$" in line or line.startswith(("lanes", "height_m = [2.0, 6.0]")) for line in lines)
+
+
 @pytest.mark.parametrize("text", [r"C:\traffic\new\run.csv", "it's \\ odd", 'a "quoted" name', "tab\there", "café.csv"])
 def test_a_path_is_valid_toml_whatever_it_holds(text):
-    assert tomllib.loads(f"path = {_text(text)}")["path"] == text
-    assert ("'" in _text(text)) or "\\" not in text or text.startswith("it's") or "\t" in text
+    assert tomllib.loads(f"path = {text_value(text)}")["path"] == text
+    assert ("'" in text_value(text)) or "\\" not in text or text.startswith("it's") or "\t" in text
 
 
 def test_a_path_below_the_folder_is_relative_to_it(tmp_path):
-    assert _path(tmp_path / "site" / "data" / "run.csv", tmp_path / "site") == '"data/run.csv"'
-    assert tomllib.loads(f"p = {_path(tmp_path / 'run.csv', tmp_path / 'site')}")["p"] == str(tmp_path / "run.csv")
+    assert path_value(tmp_path / "site" / "data" / "run.csv", tmp_path / "site") == '"data/run.csv"'
+    assert tomllib.loads(f"p = {path_value(tmp_path / 'run.csv', tmp_path / 'site')}")["p"] == str(tmp_path / "run.csv")
 
 
 def test_parquet_which_blender_cannot_read_is_written_as_a_table_that_it_can(tmp_path, monkeypatch):

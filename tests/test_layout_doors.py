@@ -298,7 +298,7 @@ def test_a_list_without_a_lidar_is_refused(capsys, tmp_path):
     ("lidars", "options", "said"),
     [
         (TWO, ["--lidar", "lefft,height_m=3"], "--lidar: unknown LiDAR 'lefft'; did you mean 'left'?"),
-        (TWO, ["--lidar", ""], "--lidar: unknown LiDAR ''; allowed: left, right"),
+        (TWO, ["--lidar", ""], "--lidar: is ''; allowed: a text"),
         (TWO, ["--lidar", "left,heigt_m=3"], "--lidar left: unknown coordinate 'heigt_m'; did you mean 'height_m'?"),
         (TWO, ["--lidar", "left,height_m=3", "--lidar", "left,height_m=4"], "--lidar: left is given twice"),
         (TWO, ["--lidar", "left,height_m=3,height_m=4"], "'height_m=4' is there twice"),

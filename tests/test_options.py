@@ -12,13 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from blender_lidar.commands.options import (
-    add_pose,
-    add_scene,
-    mounting_from,
-    parse_frames,
-    scenario_from,
-)
+from blender_lidar.commands.options import layout_from, scenario_from
+from blender_lidar.commands.parsers import add_verbs, parse_frames
+from blender_lidar.commands.verbs import VERBS
 from blender_lidar.errors import InputError
 from blender_lidar.scene.deployment import MOUNTING
 from blender_lidar.scene.mounting import COORDINATES
@@ -28,11 +24,10 @@ from tests.small_scene import cli, done, without_times, write_scene
 pytestmark = [pytest.mark.usefixtures("quick"), pytest.mark.versions]
 
 
-def parsed(scene: Path, *words: object) -> argparse.Namespace:
+def parsed(scene: Path, *words: object, verb: str = "optimise") -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    add_scene(parser)
-    add_pose(parser)
-    return parser.parse_args([str(scene), *map(str, words)])
+    add_verbs(parser.add_subparsers(), VERBS)
+    return parser.parse_args([verb, str(scene), *map(str, words)])
 
 
 # --- frame numbers ----------------------------------------------------------------------------------------------------
@@ -143,9 +138,10 @@ def test_the_traffic_option_starts_from_the_working_folder(tmp_path):
 
 
 def test_a_mounting_is_the_baseline_but_for_what_is_given(tmp_path):
-    args = parsed(write_scene(tmp_path), "--height", 4.1, "--tilt-x", -3, "--yaw", "-1.5")
+    args = parsed(write_scene(tmp_path), "--height", 4.1, "--tilt-x", -3, "--yaw", "-1.5", verb="evaluate")
     expected = {"x_m": 0.0, "y_m": 0.0, "height_m": 4.1, "tilt_x_deg": -3.0, "tilt_y_deg": 0.0, "yaw_deg": -1.5}
-    found = mounting_from(args, scenario_from(args)).as_table()
+    (mounting,) = layout_from(args, scenario_from(args))
+    found = mounting.as_table()
     assert {key: found[key] for key in expected} == pytest.approx(expected)
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from blender_lidar.commands import sensors
 from blender_lidar.commands.parsers import add_verbs
+from blender_lidar.commands.verbs import VERBS
 from blender_lidar.errors import BlenderLidarError, InputError, MissingFileError
 from blender_lidar.report.beam_fan import ground_distance_m
 from blender_lidar.sensors.model import load_model, model_names
@@ -21,7 +22,7 @@ PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 def run(*words: str) -> int:
     parser = argparse.ArgumentParser()
-    add_verbs(parser.add_subparsers(required=True))
+    add_verbs(parser.add_subparsers(required=True), VERBS)
     return sensors.run(parser.parse_args(["sensors", *map(str, words)]))
 
 

@@ -8,7 +8,8 @@ import json
 import numpy as np
 import pytest
 
-from blender_lidar.commands.table import mounting_at, parse_range
+from blender_lidar.commands.parsers import parse_range
+from blender_lidar.commands.table import mounting_at
 from blender_lidar.errors import InputError
 from blender_lidar.run.comparison import Comparison
 from blender_lidar.run.vehicle_table import vehicle_table

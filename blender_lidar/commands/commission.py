@@ -26,7 +26,8 @@ from ..sensors.beams import beam_lattice
 from ..sensors.model import load_model, model_names
 from ..studies.commission import FEWEST_CLOUDS, Commissioned, against_plan, commission, result_of
 from .cloud_options import CommissionOptions
-from .options import check_scipy, layout_of_run, new_folder, options_of
+from .options import check_scipy, layout_of_run, new_folder
+from .parsers import options_of
 from .progress import Progress
 from .report import note, say_result
 
@@ -46,23 +47,23 @@ def run(args: argparse.Namespace) -> int:
     check_unused(folder, "--out", "commission", lambda path: path.name in _OURS)
     given = None if asked.sensor is None else load_model(asked.sensor)
     site = None
-    if args.of_run is not None:
-        scenario = load_scenario(RunFolder(args.of_run).file(SCENE))
-        layout, number = layout_of_run(args.of_run, scenario), _number(args.lidar, scenario)
+    if asked.of_run is not None:
+        scenario = load_scenario(RunFolder(asked.of_run).file(SCENE))
+        layout, number = layout_of_run(asked.of_run, scenario), _number(asked.lidar, scenario)
         if not scenario.road_map.endless:
-            raise InputError(f"--run: {args.of_run}: is of a road on a map; allowed: a straight road's")
+            raise InputError(f"--run: {asked.of_run}: is of a road on a map; allowed: a straight road's")
         site = prepare(scenario, layout)
         given = given or site.models[number]
-    elif args.lidar is not None:
+    elif asked.lidar is not None:
         raise InputError("--lidar: is given without --run; allowed: both")
     seen = Hung(asked.axes, (0.0,) * 6, origin_m=asked.origin or (0.0, 0.0, 0.0)).seen
-    clouds = [seen(read_points(path)[0]) for path in args.clouds]
-    grid = read_grid(args.clouds[0])
+    clouds = [seen(read_points(path)[0]) for path in asked.clouds]
+    grid = read_grid(asked.clouds[0])
     progress = Progress(len(clouds), "clouds")
     try:
         found = commission(
             clouds,
-            args.clouds,
+            asked.clouds,
             given,
             None if grid is None else seen(grid.reshape(-1, 3)).reshape(grid.shape),
             layout[number].pose.yaw if site else None,
@@ -72,9 +73,9 @@ def run(args: argparse.Namespace) -> int:
         progress.close()
     plan = None
     if site:
-        searched = RunFolder(args.of_run).result["search"] is not None
+        searched = RunFolder(asked.of_run).result["search"] is not None
         plan = against_plan(site, layout, number, found.fit, searched=searched)
-    result = {"schema": COMMISSION_SCHEMA, "clouds": len(clouds), "source": list(args.clouds)}
+    result = {"schema": COMMISSION_SCHEMA, "clouds": len(clouds), "source": list(asked.clouds)}
     result |= result_of(found, asked.axes, asked.origin or (0.0, 0.0, 0.0), plan)
     make_folder(folder, "--out")
     for name in _OURS:  # of an earlier cloud
@@ -86,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     if len(clouds) >= FEWEST_CLOUDS:
         try:
             drives_on = site.scenario.road.drives_on if site else asked.drives_on
-            write_columns(folder / BOXES, _boxes(found, clouds, args.clouds, drives_on), _DIGITS)
+            write_columns(folder / BOXES, _boxes(found, clouds, asked.clouds, drives_on), _DIGITS)
             written.append(BOXES)
         except (MissingExtraError, InputError) as error:
             note(f"no boxes: {error}")

@@ -27,7 +27,8 @@ from ..studies.recorded import labelled_frames
 from ..toml_table import settings_of
 from ..world.shapes import DETAILS
 from .cloud_options import CompareOptions
-from .options import new_folder, options_of
+from .options import new_folder
+from .parsers import options_of
 from .progress import Progress
 from .report import note, say_result
 

@@ -16,10 +16,11 @@ from ..names import DATASET_LAYOUTS
 from ..run.words import warnings_text
 from ..scene.site import Site, prepare
 from ..scoring.evaluation import workplace_of
-from .options import default_folder, options_of, scenario_from
-from .parsers import DatasetOptions
+from .options import default_folder, scenario_from
+from .parsers import options_of
 from .progress import Progress
 from .report import say_result
+from .verbs import DatasetOptions
 
 
 def run(args: argparse.Namespace) -> int:

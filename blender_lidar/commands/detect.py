@@ -57,12 +57,14 @@ from ..scoring.evaluation import Evaluator, workplace_of
 from ..toml_table import settings_of
 from ..traffic.boxes import Boxes
 from ..traffic.vehicles import counted
-from .cloud_options import recorded_settings
-from .options import default_folder, given_options, layout_from, new_folder, scenario_from
+from .cloud_options import RecordedOptions
+from .options import default_folder, layout_from, new_folder, scenario_from
+from .parsers import given_options
 from .progress import Progress
 from .report import note, say_result
 
 _PICTURE = "detections.png"
+_RECORDED = tuple(settings_of(RecordedOptions))
 _OURS = re.compile(rf"{DETECTION}|{_PICTURE}|(detections|label_2)(_baseline|_early_fusion|_[\w-]+_alone)?(\.csv)?")
 
 
@@ -71,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     place = Path(args.scene)
     if place.is_dir() and args.scene not in shipped_scenes():
         return (_run_dataset if is_dataset(place) else _run_clouds)(args, place)
-    if given := [f"--{key}" for key in recorded_settings() if getattr(args, key) is not None]:
+    if given := [f"--{key}" for key in given_options(args, _RECORDED)]:
         raise InputError(f"{', '.join(given)}: for folders of recorded clouds, but {args.scene} is a scene")
     check_detector(args.detector)
     scenario = scenario_from(args)
@@ -207,12 +209,12 @@ def _write(folder: Path, found: Mapping[str, tuple[Mapping[int, Boxes], Poses]],
 
 # --- Folders: a data set, or clouds -----------------------------------------------------------------------------------
 
-_OF_FOLDERS = ("scene", "detector", "out", "workers", "verb", "run", "left_out")
+_OF_FOLDERS = ("SCENE.toml", "--detector", "--out", "--workers")
 
 
 def _run_dataset(args: argparse.Namespace, place: Path) -> int:
     """Judge a detector on the scans of a data set that validate; returns the exit code."""
-    _refuse_options(args, "a data set", ("json", "accept"))
+    _refuse_options(args, "a data set", ("--json", "--accept"))
     stored = read_dataset(place)
     check_clouds(stored, args.detector)
     check_detector(args.detector)
@@ -231,9 +233,10 @@ def _run_clouds(args: argparse.Namespace, place: Path) -> int:
     if not is_ours(args.detector):
         text = f"allowed with a folder of clouds: {' or '.join(DETECTORS)}; to judge a file of detections give"
         raise InputError(f"--detector: {args.detector}: {text} detect SCENE or DATASET --detector FILE")
-    asked = given_options(args, recorded_settings())
-    hung, of_boxes = _hung(args, asked), ("accept", "json") if "boxes" in asked else ()
-    _refuse_options(args, "a folder of clouds", (*recorded_settings(), *of_boxes, *(["sensor"] if hung else [])))
+    asked = given_options(args, _RECORDED)
+    hung, of_boxes = _hung(args, asked), ("--accept", "--json") if "boxes" in asked else ()
+    taken = (*(f"--{key}" for key in _RECORDED), *of_boxes, *(["--sensor"] if hung else []))
+    _refuse_options(args, "a folder of clouds", taken)
     labels = read_labels(asked["boxes"], hung).vehicles_alone if "boxes" in asked else None
     folder = _folder(args, lambda: new_folder("detections"))
     with ExitStack() as stack:
@@ -265,15 +268,14 @@ def _hung(args: argparse.Namespace, asked: Mapping) -> Hung | None:
 
 def _refuse_options(args: argparse.Namespace, what: str, taken: Sequence[str] = ()) -> None:
     """Refuse options of scenes where a folder is given."""
-    for name, value in vars(args).items():
-        if name not in (*_OF_FOLDERS, *taken) and value not in (None, False):
-            raise InputError(f"--{name.replace('_', '-')}: is an option for scenes, but {args.scene} is {what}")
+    for option in args.given:
+        if option not in (*_OF_FOLDERS, *taken):
+            raise InputError(f"{option}: is an option for scenes, but {args.scene} is {what}")
 
 
 def _workers(args: argparse.Namespace) -> int:
     """How many processes look at clouds of a folder."""
-    given = given_options(args, {"workers": settings_of(ModelSettings)["workers"]})
-    return workplace_of(ModelSettings(**given)).processes
+    return workplace_of(ModelSettings(**given_options(args, ("workers",)))).processes
 
 
 def _progress(stack: ExitStack) -> Callable[[int], Callable[[int], object]]:

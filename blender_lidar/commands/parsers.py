@@ -1,462 +1,330 @@
-"""Every verb of the command line and its options, for argparse; the standard library alone, so that help opens at once.
+"""Verbs and their options as they are declared, for argparse; the standard library alone, so that help opens at once.
 
-A parser names the function of its verb as ``module.function`` of this room, which is imported when it is run.
+An option is a `Setting`, be it of a scene, a mounting or a verb: its name, type, help and check come from there.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+import inspect
+import math
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Any, NamedTuple, get_args
 
-from ..names import CLOUD_SUFFIXES, DATASET_LAYOUTS
-from ..scene.settings import TrafficSettings
-from ..toml_table import setting, settings_of
-from .cloud_options import CommissionOptions, CompareOptions, ScoreOptions, recorded_settings
-from .options import SEARCH_OPTIONS, Once, add_moments, add_option, add_options, add_pose, add_scene
+from ..errors import InputError
+from ..plugins import IN_A_FILE
+from ..scene.deployment import MOUNTING_OR_LEAN
+from ..scene.settings import DECLARED, INSTALLER
+from ..toml_table import Setting, checked, limits_text, setting, settings_of
 
-SUSTECHPOINTS = "sustechpoints"
-_CLOUD_FORMATS = [*(suffix.removeprefix(".") for suffix in CLOUD_SUFFIXES), SUSTECHPOINTS]
+_MOUNTING, _OUTPUT = "mounting", "output"  # groups: that with all coordinates, and the last one
+_UNITS = {"m": "m", "deg": "degrees", "s": "s", "hz": "Hz"}  # by how the name of a setting ends
+# Groups of a scene's options, by the table that each is of.
+_GROUPS = {
+    "scene": ("traffic", "road", "world"),
+    "sensor": ("sensor",),
+    "installation": ("deployment",),
+    "objective": ("objective",),
+    "search": ("search",),
+    "computing": ("model",),
+}
+_ABOUT = {_MOUNTING: "coordinates that are not given are as the scene fixes them, else its baseline's"}
+_COORDINATES = {
+    key: replace(declared, metavar=key.rsplit("_", 1)[1].upper(), default=None)
+    for key, declared in MOUNTING_OR_LEAN.items()
+}
+_MOST_FRAMES = 1_000_000
+_MOST_IN_RANGE = 40
+_FRAMES = re.compile(r"\s*(-?\d+)(?::(-?\d+)(?::(\d+))?)?\s*")
 
-
-def add_verbs(subparsers) -> None:
-    """Describe all verbs to argparse."""
-    for add in (
-        _init,
-        _optimise,
-        _evaluate,
-        _report,
-        _table,
-        _stability,
-        _chart,
-        _scan,
-        _detect,
-        _dataset,
-        _build,
-        _render,
-        _score,
-        _compare,
-        _commission,
-        _sensors,
-        _doctor,
-    ):
-        add(subparsers)
-
-
-def _verb(subparsers, words, what, description, *examples, run="") -> argparse.ArgumentParser:
-    """The parser of a verb: `words` are its name and what has to follow it, `examples` what may.
-
-    `run` is what carries it out, the function of its module that is called so unless said.
-    """
-    name, _, must = words.partition(" ")
-    usage = f"%(prog)s {must} [options]".replace("  ", " ")
-    lines = "".join(f"\n  blender-lidar {name} {example}" for example in examples)
-    epilog = f"examples:{lines}" if examples else ""
-    also = ["optimize"] if name == "optimise" else []
-    parser = subparsers.add_parser(name, aliases=also, help=what, usage=usage, description=description, epilog=epilog)
-    parser.set_defaults(run=run or f"{name}.run")
-    return parser
+# --- Verbs ------------------------------------------------------------------------------------------------
 
 
-def _output(parser: argparse.ArgumentParser, *, resumed: str = "", quick: str = "") -> None:
-    """Where results go; whether a run can go on, and what a quick form of it is."""
-    add = parser.add_argument_group("output").add_argument
-    add("--out", metavar="DIR", help="folder of the results; by default a new one under runs/")
-    add("--json", action="store_true", help="print only the content of the result file, on stdout")
-    if resumed:
-        add("--resume", action="store_true", help=f"go on with the stopped {resumed} in --out DIR")
-    if quick:
-        add("--quick", action="store_true", help=quick)
-
-
-# --- A scene of one's own ---------------------------------------------------------------------------------------------
-
-
-def _init(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "init FOLDER --from FORMAT [FILE]",
-        "propose a scene for a recording of your own",
-        "Propose road, lanes, region and places for poles from where the vehicles of a recording drive, at an "
-        "intersection on its map where there is one. Write the scene to FOLDER/scene.toml, and a picture to check it "
-        "by eye to FOLDER/scene.png.",
-        "my_site --from sumo run.fcd.xml --net site.net.xml --vehicle-types cars.rou.xml",
-        "my_site site.sumocfg",
-        "my_site trajectories.csv",
-        "my_site --from example",
-    )
-    add = parser.add_argument
-    add("folder", metavar="FOLDER", help="a new folder, or one that holds only the recording; nothing is overwritten")
-    add("file", nargs="?", metavar="FILE", help="the recording, if it is not given with --from")
-    kinds = (
-        "format of the recording: ngsim; sumo, the output of --fcd-output, with x and y in metres; table, a CSV with "
-        "the columns frame, vehicle_id, class, x_m, y_m, length_m, width_m, height_m, heading_deg and optionally z_m, "
-        "time_s, lane; highd, ind, k733 (INTERACTION too) or tgsim, a data set's own table; auto (default) finds it "
-        "from the file; example, without FILE, takes the shipped sample"
-    )
-    add("--from", dest="source", nargs="+", metavar=("FORMAT", "FILE"), help=kinds)
-    add("--net", metavar="FILE", help="SUMO net of the site (.net.xml), in the recording's metres; needs sumolib")
-    add("--road", metavar="FILE", help="OpenDRIVE of the site (.xodr), in the recording's metres")
-    add("--junction", metavar="ID", help="the map's junction to take (default: the one that most vehicles cross)")
-    add("--at", metavar="X,Y", help="the place to take, in the map's metres: the junction about it, or the stretch")
-    settings = settings_of(TrafficSettings)
-    for key in ("period", "location", "vehicle_types"):
-        add_option(parser, settings[key], key)
-
-
-# --- One mounting, or the best one ------------------------------------------------------------------------------------
-
-
-def _optimise(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "optimise SCENE.toml",
-        "find the best mounting for a scene",
-        "Search the mounting from which the LiDAR perceives the vehicles best, judge it on held-out traffic beside the "
-        "baseline, and write a folder of results.",
-        "i80",
-        "i80 --sensor RS-80 --fidelity auto --out runs/rs80",
-        "i80 --installer tilt_deg=1,height_m=0.1",
-        run="optimise.run_optimise",
-    )
-    add_scene(parser)
-    _detector(parser)
-    _output(parser, resumed="run")
-
-
-_DETECTIONS = "CSV, nuScenes' JSON, or a folder of KITTI's label texts"
-
-
-def _detector(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    text = "detector to judge on clouds of the held-out frames: pillars, a neural network (PointPillars, trained in "
-    text += "simulated roadsides); classical, which is not trained (background subtraction, DBSCAN, L-shapes); "
-    text += "FILE.npz, the network with weights of your own; or FILE, detections of your own: "
-    text += _DETECTIONS
-    text += "" if default is None else " (default %(default)s)"
-    parser.add_argument_group("detector").add_argument("--detector", default=default, metavar="NAME", help=text)
-
-
-def _evaluate(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "evaluate SCENE.toml",
-        "score one mounting",
-        "Score one mounting beside the scene's baseline, on the searched and the held-out frames, and write a folder "
-        "of results.",
-        "i80 --height 4.1 --tilt-x 19",
-        run="optimise.run_evaluate",
-    )
-    add_scene(parser, leave_out=SEARCH_OPTIONS)
-    add_pose(parser)
-    _detector(parser)
-    _output(parser)
-
-
-def _report(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "report RUN",
-        "print what a finished run has come to",
-        "Print the answer of a finished run again: where to hang the LiDAR, what that is worth and what to know first.",
-        "runs/i80_rs-16",
-        "runs/i80_rs-16 --all",
-        run="report.run_report",
-    )
-    add = parser.add_argument
-    add("folder", metavar="RUN", help="the folder of a run")
-    add("--all", action="store_true", help="also all tables, notes, assumptions and meanings")
-    add("--json", action="store_true", help="print only the content of the result file, on stdout")
-
-
-def _table(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "table SCENE.toml --setback METRES --height METRES",
-        "best tilt and detectable share by setback and height",
-        "Tabulate the best tilt and the detectable share of the held-out vehicles for masts at several setbacks from "
-        "the road's edge and LiDARs at several heights, one table for each sensor.",
-        "i80 --setback 2:10:2 --height 3,4.5,6,8",
-        "i80 --setback 2,6 --height 4.5 --sensor RS-16,RS-80",
-    )
-    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--pose-error", "--sensor"))
-    group = parser.add_argument_group("table")
-    values = "metres: 3,4.5,6, or a range 2:10:2, its end included"
-    for option, dest, what in (
-        ("--setback", "setback", "from the road's edge"),
-        ("--height", "heights", "of the LiDAR"),
-    ):
-        group.add_argument(option, dest=dest, required=True, action=Once, metavar="METRES", help=f"{what}, in {values}")
-    names = "models or beam tables, divided by commas (default: the scene's)"
-    group.add_argument("--sensor", action=Once, dest="sensors", metavar="NAMES", help=names)
-    _output(parser)
-
-
-# --- Studies ----------------------------------------------------------------------------------------------------------
-
-
-def _stability(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "stability SCENE.toml",
-        "how far to trust a mounting: vary one thing at a time",
-        "Find out how far a mounting can be trusted, the one that the search finds or the one that is given: change "
-        "traffic, installation, metric, sensor and random seed one at a time, and say what the mounting then loses to "
-        "the best one.",
-        "i80 --quick",
-        "i80 --height 4.1 --tilt-x 19",
-        run="studies.run_stability",
-    )
-    add_scene(parser, leave_out=("--fidelity", "--seeds", "--pose-error"))  # it has fidelities and seeds of its own
-    add_pose(parser, on_poles=False)
-    _add_pole(parser)
-    rival = "a metric of yours to choose in the scene's metric's place, as the catalogue's do; may be repeated"
-    parser.add_argument("--rival", dest="rivals", action="append", metavar="FILE.py:NAME", help=rival)
-    _output(parser, resumed="study", quick="few frames, coarse grids, short searches")
-
-
-def _add_pole(parser) -> None:
-    parser.add_argument(
-        "--pole", metavar="NAME", help="of a scene with candidate poles, the one that the study is about"
-    )
-
-
-def _chart(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "chart SCENE.toml",
-        "speed and accuracy of cheaper models of a scene, for developers",
-        "Compare cheaper models of a scene (less vehicle detail, fewer beams and frames) with the full one, in time "
-        "and in the mounting that they choose; name the cheapest one within --max-regret, and the parts of the model "
-        "that change the choice. For developers of the model: nobody needs it to hang a LiDAR.",
-        "i80 --quick",
-        "i80 --max-regret 0.5% --sensor RS-80",
-        run="studies.run_chart",
-    )
-    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--installer", "--pose-error"))
-    _add_pole(parser)
-    said = "of several LiDARs, folder of a run on whose poles the study has them"
-    parser.add_argument("--run", dest="of_run", action=Once, metavar="DIR", help=said)
-    add = parser.add_argument_group("chart").add_argument
-    regret = "share of the gain over the baseline that a cheaper model may cost, above 0 up to 100%%: 1%% or 0.01 "
-    regret += "(default 1%%)"
-    add("--max-regret", default="1%", metavar="SHARE", help=regret)
-    _output(parser, resumed="study", quick="ten frames, fewer mountings and draws")
-
-
-# --- Frames as clouds, in Blender and as pictures ---------------------------------------------------------------------
-
-
-def _scan(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "scan SCENE.toml --frame K --out CLOUD",
-        "write the point clouds of frames",
-        "Simulate one revolution of the LiDAR in a frame and write the point cloud: .npz (all attributes), .pcd, .ply, "
-        ".las, .laz, or KITTI's .bin with its .label. With --frame-ids write a folder of clouds, one for each frame. "
-        "Of several LiDARs write the fused cloud, and beside it CLOUD_NAME of each in its own frame; .bin and "
-        "sustechpoints, whose frame is a sensor's, have the fused cloud in that of the first LiDAR.",
-        "i80 --frame 1000 --height 4.1 --tilt-x 19 --out cloud.pcd",
-        "i80 --frame-ids 100:1000:100 --format sustechpoints --out clouds",
-        run="scan.run_scan",
-    )
-    add_moments(parser, many="many frames")
-    add = parser.add_argument_group("output").add_argument
-    out = "file to write, its suffix is the format; with --frame-ids a folder"
-    add("--out", required=True, metavar="CLOUD", help=out)
-    of_folder = f"format of the files in the folder (default npz); {SUSTECHPOINTS} adds labels"
-    add("--format", choices=_CLOUD_FORMATS, help=of_folder)
-
-
-def _detect(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "detect SCENE.toml|DATASET|CLOUDS",
-        "judge a detector at a mounting",
-        "Let a detector find the vehicles of the held-out frames at a mounting and at the baseline, and write recall, "
-        "precision and average precision with paired intervals, the boxes as CSV and as KITTI's labels, and a picture "
-        "of one frame; of several LiDARs each one alone, their boxes merged, and their points merged. Given a data "
-        "set, judge the detector on its validation scans, each from its mounting. Given a "
-        "folder of clouds, those of scan or with --pose or --commission of a recording, write the boxes that the "
-        "detector finds, and with --boxes judge them.",
-        "i80 --height 4.5 --tilt-x 23",
-        "i80 --height 4.5 --tilt-x 23 --detector classical",
-        "i80 --height 4.5 --tilt-x 23 --detector my_detections.csv",
-        "i80_set --detector my_label_2",
-        "clouds --out boxes",
-        "sweeps --axes flu --pose 0 0 4.1 0 0 0 --out boxes",
-        "sweeps --commission found --detector classical --boxes boxes.csv",
-    )
-    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster", "--installer"))
-    add_pose(parser)
-    _detector(parser, "pillars")
-    clouds = parser.add_argument_group(
-        "a folder of recorded clouds, whose names end with the numbers of their frames; --sensor names theirs"
-    )
-    for key, declared in recorded_settings().items():
-        add_option(clouds, declared, key)
-    _output(parser)
-
-
-@dataclass(frozen=True, slots=True)
-class DatasetOptions:
-    """Which scans a data set has, and in which layouts it is written.
+class Verb(NamedTuple):
+    """A verb of the command line.
 
     Attributes
     ----------
-    mountings : int
-        Number of random mountings within [deployment].
-    scans : int or None
-        Number of scans; by default each frame once from each mounting.
-    layouts : tuple of str or None
-        Layout of the files (default npz); may be repeated.
-    as_recorded : bool
-        Leave the traffic where it was recorded: neither move it along the road nor mirror it.
+    usage : str
+        Its name, and what has to follow it.
+    run : str
+        What carries it out, ``module.function`` of this room, which is imported when it is run.
+    options : type
+        The dataclass of its own options, whose docstring is its help: what it does in a line and in a paragraph, and
+        examples.
+    without : collection of str, optional
+        Options of a scene's settings that it does not have; for verbs that are about a scene.
     """
 
-    mountings: int = setting(20, low=1, high=100_000, option="--mountings", metavar="N")
-    scans: int | None = setting(None, low=1, high=1_000_000, option="--scans", metavar="N")
-    layouts: tuple[str, ...] | None = setting(None, allowed=DATASET_LAYOUTS, option="--layout")
-    as_recorded: bool = setting(False, option="--as-recorded")
+    usage: str
+    run: str
+    options: type
+    without: Collection[str] | None = None
 
 
-def _dataset(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "dataset SCENE.toml",
-        "labelled clouds to train and judge detectors with",
-        "Scan frames of the traffic from random mountings, at random places along the road, half of them mirrored, and "
-        "write clouds with boxes, point counts and visibility. Searched frames are for training, held-out ones for "
-        "validation; no vehicle is labelled in both. To continue after a stop give the same command again.",
-        "i80 --mountings 20 --out i80_set",
-        "i80 --frames 50 --mountings 50 --scans 2500 --layout kitti --layout nuscenes --out i80_set",
-    )
-    add_scene(parser, leave_out=(*SEARCH_OPTIONS, "--metric", "--reading", "--cluster", "--installer"))
-    add_options(parser, DatasetOptions, {"data set": tuple(settings_of(DatasetOptions))})
-    _output(parser)
+def add_verbs(subparsers, verbs: Collection[Verb], words: Collection[str] | None = None) -> None:
+    """Describe verbs to argparse, their options too unless `words` are given and are not about the verb."""
+    for verb in verbs:
+        name, _, must = verb.usage.partition(" ")
+        aliases = ["optimize"] if name == "optimise" else []
+        doc = inspect.getdoc(verb.options) or ""
+        what, description, *_ = (*doc.split("\n\n"), "")  # python -OO has no docstrings
+        examples = re.search(r"^Examples\n-+\n((?:.+\n?)+)", doc, re.MULTILINE)
+        lines = [f"\n  blender-lidar {name} {line}" for line in examples[1].splitlines()] if examples else []
+        parser = subparsers.add_parser(
+            name,
+            aliases=aliases,
+            help=what[:1].lower() + what[1:].removesuffix("."),
+            usage=f"%(prog)s {must} [options]".replace("  ", " "),
+            description=" ".join(description.split()),
+            epilog=f"examples:{''.join(lines)}" if lines else "",
+        )
+        parser.set_defaults(run=verb.run, given=())
+        if words is None or not {name, *aliases}.isdisjoint(words):
+            _add_options(parser, verb)
 
 
-def _build(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "build SCENE.toml --frame K --out FILE.blend",
-        "write a scene as a .blend file",
-        "Build one frame's road, vehicles, LiDAR and point cloud in Blender and write them as a .blend file. With "
-        "--frame-ids make an animation of these frames, with the cloud of the first.",
-        "i80 --frame 1000 --height 4.1 --tilt-x 19 --out scene.blend",
-        run="scan.run_build",
-    )
-    add_moments(parser, many="an animation")
-    add = parser.add_argument_group("output").add_argument
-    add("--no-cloud", action="store_true", help="leave the point cloud out")
-    add("--detections", metavar="FILE", help=f"show these detections as wire boxes: {_DETECTIONS}")
-    add("--out", required=True, metavar="FILE.blend", help="the file to write")
+def _add_options(parser: argparse.ArgumentParser, verb: Verb) -> None:
+    """The options of a verb, in their groups."""
+    for title, members in sorted(_groups(verb).items(), key=lambda group: group[0] == _OUTPUT):
+        group = parser.add_argument_group(title, _ABOUT.get(title)) if title else parser
+        for one in members:
+            _add_option(group, *one)
 
 
-def _render(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "render RUN_DIR",
-        "render a run's mountings with their clouds, by Cycles",
-        "Render the baseline and the mounting of a run with their point clouds, from above and from the pole, into the "
-        "run's folder, and add the pictures to its report.html. Points on a vehicle go from red to green with the "
-        "vehicle's entropy.",
-        "runs/i80_rs-16",
-        run="scan.run_render",
-    )
-    parser.add_argument("folder", metavar="RUN_DIR", help="folder of a run that has ended")
-    frame = "number of the frame; by default the searched one with the most vehicles, or the most detections"
-    parser.add_argument("--frame", type=int, metavar="K", help=frame)
-    samples = "light paths per pixel, 1 to 4096; more is smoother and slower"
-    parser.add_argument("--samples", type=int, metavar="N", help=samples)
-    style = "day, the scene; points, the clouds alone on black; both (default)"
-    parser.add_argument("--style", choices=("day", "points", "both"), default="both", help=style)
-    shown = "show these detections as wire boxes, and those of the baseline if NAME_baseline is in the same folder: "
-    parser.add_argument("--detections", metavar="FILE", help=shown + _DETECTIONS)
+def _groups(verb: Verb) -> dict[str, list[tuple[str, str, Setting, object]]]:
+    """The options of a verb by the titles of their groups: name in Python, key, declaration, value if not given."""
+    groups: dict[str, list] = {}
+    for title, tables in _GROUPS.items() if verb.without is not None else ():
+        asked = ((option, *one) for option, one in SCENE_OPTIONS.items() if option not in verb.without)
+        if found := [(as_name(option), key, one, None) for option, table, key, one in asked if table in tables]:
+            groups[title] = found
+    title = ""
+    for key, declared in settings_of(verb.options).items():
+        title = title if declared.group is None else declared.group
+        groups.setdefault(title, []).append((key, key, declared, declared.default))
+        if declared.group == _MOUNTING:
+            groups[title] += [(key, key, one, None) for key, one in _COORDINATES.items()]
+    return groups
 
 
-# --- Clouds and metrics without a simulation, and beside reality ------------------------------------------------------
+# --- Options ----------------------------------------------------------------------------------------------
 
 
-def _score(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "score --points CLOUD --boxes BOXES.csv",
-        "score the vehicles of a labelled cloud",
-        "Score the vehicles of a point cloud with known boxes: PE-VGOP of each vehicle, and other metrics on request.",
-        "--points cloud.npz --boxes runs/i80_rs-16/vehicles.csv --frame 1000",
-        "--points sweep.pcd --boxes boxes.csv --assign box --metric all",
-    )
-    groups = {
-        "what is scored": ("points", "boxes", "frame", "axes", "pose", "accept", "assign", "clearance_m", "lidar_xy"),
-        "metric": ("cell_m", "threshold", "view", "metrics"),
-        "output": ("out", "json"),
-    }
-    add_options(parser, ScoreOptions, groups)
+options = dataclass(eq=False, repr=False)
+"""Makes a dataclass of options: neither compared nor shown, which would take longer to make than help to print."""
 
 
-def _compare(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "compare --points CLOUD --boxes BOXES --sensor NAME",
-        "a recorded, labelled cloud beside its simulation",
-        "Compare recorded vehicles with simulated ones: the points of each labelled vehicle in a recorded cloud, and "
-        "the points that the simulated sensor gets from it at the same place.",
-        "--points sweep.pcd --boxes boxes.csv --sensor RS-80 --height 4.1 --tilt-x 9",
-        "--points sweep.pcd --boxes boxes.csv --sensor RS-80 --height 4.1 --distance 10 50 --losses dropout=0.05",
-        "--points sweep.pcd --boxes labels --commission found --losses none --losses range_at_10_percent_m=160",
-    )
-    groups = {
-        "what is compared": ("points", "boxes", "commission", "frames", "accept", "classes", "distance_m"),
-        "sensor": ("sensor", "rotation_hz", "x_m", "y_m", "height_m", "tilt_x_deg", "tilt_y_deg", "yaw_deg"),
-        "simulation": ("details", "losses", "label_margin_m", "clearance_m", "caster"),
-        "output": ("out", "json"),
-    }
-    add_options(parser, CompareOptions, groups)
+def option(usage: str, meaning: str, default: Any = None, **declared: Any) -> Any:
+    """A field of a dataclass that is an option, or a place on the command line, of the verb that has the dataclass.
+
+    Parameters
+    ----------
+    usage : str
+        The option and what stands for its value: ``"--at X,Y"``, or that of a place alone.
+    meaning : str
+        Its help.
+    default : object
+        Its value where it is not given; ``...`` where it must be.
+    **declared
+        What else its `Setting` says.
+    """
+    name, *values = usage.split(" ")
+    metavar = tuple(values) if len(values) > 1 else "".join(values)
+    return setting(default, option=name, metavar=metavar, help=meaning, **declared)
 
 
-def _commission(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "commission CLOUD",
-        "sensor and mounting of a LiDAR that hangs, from its own clouds",
-        "Tell from recorded clouds of a LiDAR at a straight road which sensor it is, how high it hangs, how it leans "
-        "against the road, and what that costs beside the plan.",
-        "revolution.pcd",
-        "frame_*.bin --axes flu --run runs/i80_rs-16",
-    )
-    parser.add_argument("clouds", nargs="+", metavar="CLOUD", help="clouds of one mounting, each in its own file")
-    plan = parser.add_argument_group("plan").add_argument
-    said = "folder of the run that planned the mounting: tell how the LiDAR hangs beside its plan, and what that costs"
-    plan("--run", dest="of_run", action=Once, metavar="RUN_DIR", help=said)
-    plan("--lidar", action=Once, metavar="NAME", help="which LiDAR of a run of several it is")
-    add_options(
-        parser, CommissionOptions, {"cloud": ("sensor", "axes", "origin", "drives_on"), "output": ("out", "json")}
-    )
+def option_of(declared: type, key: str, **changes: Any) -> Any:
+    """A field that is an option of another dataclass but for what changes."""
+    one = settings_of(declared)[key]
+    kept = {field.name: getattr(one, field.name) for field in fields(Setting) if field.name != "kind"}
+    return setting(**kept | changes)
 
 
-# --- What there is ----------------------------------------------------------------------------------------------------
+class _Given(argparse.Action):
+    """Keeps what an option is given as it is declared; given again it is refused, unless it may be repeated."""
+
+    def __init__(self, declared: Setting, *, repeated: bool, **how) -> None:
+        super().__init__(**how)
+        self._declared, self._repeated = declared, repeated
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        if not self.option_strings and values is self.default:  # which argparse gives for a place left empty
+            return
+        given, declared = getattr(namespace, "given", ()), self._declared
+        if declared.option in given and not self._repeated and self.nargs != 0:
+            parser.error(f"argument {declared.option}: is given twice; allowed: once")
+        if self.nargs == 0:
+            value = True
+        elif declared.read is not None:
+            value = declared.read(values, declared.option)
+        else:
+            texts = [values] if self._repeated else values
+            value = checked(_numbers_read(texts, declared.kind), declared, declared.option)
+        if self._repeated and declared.option in given:
+            value = (*getattr(namespace, self.dest), *value)
+        setattr(namespace, self.dest, value)
+        namespace.given = (*given, declared.option)
 
 
-def _sensors(subparsers) -> None:
-    parser = _verb(
-        subparsers,
-        "sensors [NAME]",
-        "list the LiDAR models, or show one in full",
-        "List the LiDAR models; with NAME show one in full, with its table of rings; --out draws its beam fan.",
-        "RS-16",
-        "own_sensor.csv --out fan.png",
-    )
-    parser.add_argument(
-        "name", nargs="?", metavar="NAME", help="a model's name or alias, or the path of a .toml or .csv"
-    )
-    add = parser.add_argument_group("output").add_argument
-    add("--json", action="store_true", help="print only JSON, on stdout")
-    add("--out", metavar="PNG", help="draw NAME's beam fan into this file")
+def _add_option(parser, name: str, key: str, declared: Setting, default: object) -> None:
+    """The option of a setting, or a place on the command line; it must be given where `default` is ``...``."""
+    parts, is_place = get_args(declared.kind), not declared.option.startswith("--")
+    several = ... in parts and (is_place or isinstance(declared.metavar, tuple))
+    how = {"declared": declared, "action": _Given, "default": None if default is ... else default}
+    how["repeated"] = ... in parts and not several and declared.read is None
+    if declared.kind is bool:
+        how["nargs"] = 0
+    elif several:
+        how["nargs"] = "+"
+    elif parts and ... not in parts and declared.read is None:
+        how["nargs"] = len(parts)
+    elif is_place and default is not ...:
+        how["nargs"] = "?"
+    if declared.allowed and not declared.metavar:
+        how["choices"] = tuple(declared.allowed)
+    elif declared.kind is not bool:
+        how["metavar"] = declared.metavar or ("FILE" if declared.is_path else declared.option.lstrip("-").upper())
+    how["help"] = _described(declared, key).replace("%", "%%")
+    if is_place:
+        parser.add_argument(name, **how | {"metavar": declared.option})
+    else:
+        parser.add_argument(declared.option, dest=name, required=default is ..., **how)
 
 
-def _doctor(subparsers) -> None:
-    _verb(
-        subparsers,
-        "doctor",
-        "check the installation",
-        "Show what is installed, and check every ray caster on a wall at known distances.",
-    )
+def _described(declared: Setting, key: str) -> str:
+    """The help of a setting's option: what it is, its limits and unit in brackets, its default."""
+    unit, default = _UNITS.get(key.rpartition("_")[2], ""), declared.default
+    limits = limits_text(declared, declared.kind) if declared.kind in (int, float) and declared.read is None else ""
+    amount = " ".join(part for part in (limits, unit) if part)
+    allowed = (*declared.allowed, *([IN_A_FILE] if declared.plugins else []))
+    names = ", ".join(allowed) if allowed and declared.metavar else ""
+    text = declared.help + (f": {names}" if names else "") + (f" [{amount}]" if amount else "")
+    if not (default is None or default is ... or default is False or default == ()):
+        text += f" (default {default:g})" if isinstance(default, float) else f" (default {default})"
+    return text
+
+
+def _numbers_read(given, kind):
+    """Texts as the numbers that they are, where numbers are asked for; the checks see to those that are none."""
+    if isinstance(given, list):
+        return [_numbers_read(one, get_args(kind)[0]) for one in given]
+    try:
+        return kind(given) if kind in (int, float) else given
+    except ValueError:
+        return given
+
+
+def options_of(args: argparse.Namespace, declared: type) -> Any:
+    """The options that a dataclass declares, as it holds them."""
+    return declared(**{key: getattr(args, key) for key in settings_of(declared)})
+
+
+def given_options(args: argparse.Namespace, keys: Collection[str]) -> dict[str, Any]:
+    """The values of those options that are given, by their keys."""
+    return {key: getattr(args, key) for key in keys if getattr(args, key) is not None}
+
+
+def as_name(option: str) -> str:
+    """An option of a scene's setting as Python writes it."""
+    return option.lstrip("-").replace("-", "_")
+
+
+# --- Options that are written in a way of their own -------------------------------------------------------
+
+
+def parse_frames(text: str, option: str) -> list[int]:
+    """Frame numbers from "100,150" or "100:160:5" or both mixed; the end of a range is included."""
+    frames: list[int] = []
+    for part in text.split(","):
+        found = _FRAMES.fullmatch(part)
+        if not found:
+            raise InputError(f"{option}: {part!r}; allowed: frame numbers such as 100,150 or 100:160:5")
+        first, last, step = int(found[1]), int(found[2] or found[1]), int(found[3] or 1)
+        if step < 1 or last < first or len(frames) + (last - first) // step >= _MOST_FRAMES:
+            allowed = f"a range from:to:step that rises, and not more than {_MOST_FRAMES:,} frames"
+            raise InputError(f"{option}: {part!r}; allowed: {allowed}")
+        frames += range(first, last + 1, step)
+    return frames
+
+
+def parse_range(text: str, option: str, most: float) -> list[float]:
+    """Numbers from "3,4.5,6" or "2:10:2", the end of a range included, or both mixed; each once, rising.
+
+    Raises
+    ------
+    InputError
+        When it is none of these, or a number is not above 0 up to `most`.
+    """
+    found: list[float] = []
+    for part in text.split(","):
+        try:
+            first, *more = (float(number) for number in part.split(":"))
+            last, step = (more or [first, 1.0]) if len(more) != 1 else (math.nan, 0.0)
+            count = math.floor((last - first) / step + 1e-9) + 1 if step > 0.0 and math.isfinite(last - first) else 0
+        except ValueError:
+            count, first = 0, math.nan
+        if not 1 <= count <= _MOST_IN_RANGE or not 0.0 < first <= last <= most:
+            raise InputError(
+                f"{option}: {part!r}; allowed: metres above 0 up to {most:g}, such as 3,4.5,6 or a range 2:10:2, not "
+                f"more than {_MOST_IN_RANGE}"
+            )
+        found += [round(first + number * step, 6) for number in range(count)]
+    return sorted(set(found))
+
+
+def parse_place(text: str, option: str) -> tuple[float, float]:
+    """Coordinates from "-5,3"."""
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) != 2 or not all(map(math.isfinite, found)):
+        raise InputError(f"{option}: is {text!r}; allowed: X,Y in the map's metres")
+    return found
+
+
+def parse_share(text: str, option: str) -> float:
+    """A share from "1%" or "0.01"; above 0, at most 1."""
+    number = text.strip()
+    try:
+        share = float(number.removesuffix("%")) / (100.0 if number.endswith("%") else 1.0)
+    except ValueError:
+        share = math.nan
+    if not 0.0 < share <= 1.0:
+        raise InputError(f"{option}: is {text!r}; allowed: a share above 0 up to 1, such as 1% or 0.01")
+    return share
+
+
+def parse_pairs(text: str, option: str, such_as: str) -> dict[str, float | str]:
+    """A table from "key=value,key=value"."""
+    table: dict[str, float | str] = {}
+    for part in text.split(","):
+        key, equals, value = (piece.strip() for piece in part.partition("="))
+        if not equals or not value or key in table:
+            fault = "is there twice" if key in table else "is no key=value"
+            raise InputError(f"{option}: {part!r} {fault}; allowed: such as {such_as}")
+        table[key] = _numbers_read(value, float)
+    return table
+
+
+def _parse_errors(text: str, option: str, word: str, no_errors: object) -> Any:
+    """Half-widths from "tilt_deg=1,height_m=0.05", or a word for no errors; the scene's checks see to the keys."""
+    return no_errors if text == word else parse_pairs(text, option, f"tilt_deg=1,height_m=0.05, or {word}")
+
+
+_READ = {
+    "--installer": partial(_parse_errors, word="false", no_errors=False),
+    "--pose-error": partial(_parse_errors, word="none", no_errors=None),
+    "--frame-ids": parse_frames,
+}
+SCENE_OPTIONS: Mapping[str, tuple[str, str, Setting]] = {
+    declared.option: (table, key, replace(declared, read=_READ.get(declared.option)))
+    for table, settings in DECLARED.items()
+    for key, declared in settings.items()
+    if declared.option and (table not in ("deployment", "baseline", "lidar") or (table, key) == INSTALLER)
+}
+"""Table, key and declaration of each setting of a scene that an option replaces."""

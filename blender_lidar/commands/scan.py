@@ -28,20 +28,21 @@ from ..scene.mounting import Mounting
 from ..scene.provenance import check_same_inputs
 from ..scene.scenario import Scenario, load_scenario
 from ..scene.site import frame_of, read_recording
-from ..toml_table import Setting, checked
 from ..traffic import Recording
 from ..traffic.boxes import Boxes
 from ..world.needs_blender import blender_room
-from .options import layout_from, parse_frames, scenario_from
-from .parsers import SUSTECHPOINTS
+from .options import layout_from, scenario_from
 from .progress import Progress
-
-_MOST_SAMPLES = 4096
+from .verbs import SUSTECHPOINTS
 
 
 def _numbers(args: argparse.Namespace) -> list[int]:
-    """The frames that are asked for."""
-    return [args.frame] if args.sequence is None else parse_frames(args.sequence, "--frame-ids")
+    """The frames that are asked for, by one option of both."""
+    if args.frame is None and args.sequence is None:
+        raise InputError("--frame: is missing; allowed: --frame K, or --frame-ids IDS")
+    if args.frame is not None and args.sequence is not None:
+        raise InputError("--frame: is given beside --frame-ids; allowed: one of both")
+    return [args.frame] if args.sequence is None else args.sequence
 
 
 def _asked(
@@ -185,8 +186,7 @@ def run_render(args: argparse.Namespace) -> int:
     base = list(base.get("deployments", {"": base.get("deployment")}).values())
     deployments = {"baseline": base, "optimised": found}
     blender = blender_room("scene", "render")
-    asked = blender.SAMPLES if args.samples is None else args.samples
-    samples = checked(asked, Setting(kind=int, low=1, high=_MOST_SAMPLES), "--samples")
+    samples = args.samples or blender.SAMPLES
     scenario = load_scenario(run.file(SCENE))
     check_same_inputs(scenario, run.result["identity"])
     recording = read_recording(scenario)

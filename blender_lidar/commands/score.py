@@ -24,7 +24,7 @@ from ..traffic import read_table
 from ..traffic.boxes import Boxes
 from ..traffic.tracks import NUMBERED
 from .cloud_options import ScoreOptions
-from .options import options_of
+from .parsers import options_of
 
 _ALL = "all"
 # Columns of metrics that the table has anyway:

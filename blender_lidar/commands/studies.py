@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from ..errors import InputError
 from ..metrics.catalogue import metric_named
 from ..plugins import located
 from ..report.chart import CHART_REPORT
@@ -21,7 +19,8 @@ from ..studies.chart import FULL_CHART, QUICK_CHART, chart_identity, chart_study
 from ..studies.driver import StudyFolder
 from ..studies.stability import FULL_STABILITY, QUICK_STABILITY, study_identity, study_stability
 from .optimise import check_resume
-from .options import check_scipy, default_folder, given_options, layout_from, layout_of_run, scenario_from
+from .options import check_scipy, default_folder, layout_from, layout_of_run, scenario_from
+from .parsers import given_options
 from .progress import Progress
 from .report import describe_site, say, say_result, say_stopped
 
@@ -29,7 +28,6 @@ from .report import describe_site, say, say_result, say_stopped
 def run_chart(args: argparse.Namespace) -> int:
     """Carry out `chart`; returns the exit code."""
     check_resume(args)
-    tolerance = parse_share(args.max_regret, "--max-regret")
     check_scipy("chart")
     whole = scenario_from(args)
     scenario = at_one_place(whole, args.pole, layout_of_run(args.of_run, whole) if args.of_run else None)
@@ -37,7 +35,7 @@ def run_chart(args: argparse.Namespace) -> int:
     effort, site = _effort_of(args, FULL_CHART, QUICK_CHART), prepare(scenario)
 
     def study(folder: StudyFolder) -> dict:
-        return chart_study(site, effort, tolerance, folder)
+        return chart_study(site, effort, args.max_regret, folder)
 
     return _carry_out(args, "chart", site, chart_identity(site, effort), CHART_REPORT, study)
 
@@ -60,18 +58,6 @@ def run_stability(args: argparse.Namespace) -> int:
 
     identity = study_identity(site, effort, layout, rivals)
     return _carry_out(args, "stability", site, identity, STABILITY_REPORT, study)
-
-
-def parse_share(text: str, option: str) -> float:
-    """A share from "1%" or "0.01"; above 0, at most 1."""
-    number = text.strip()
-    try:
-        share = float(number.removesuffix("%")) / (100.0 if number.endswith("%") else 1.0)
-    except ValueError:
-        share = math.nan
-    if not 0.0 < share <= 1.0:
-        raise InputError(f"{option}: is {text!r}; allowed: a share above 0 up to 1, such as 1% or 0.01")
-    return share
 
 
 def _effort_of(args: argparse.Namespace, full, quick):

@@ -34,8 +34,6 @@ from .options import default_folder, scenario_from
 from .progress import Progress
 from .report import describe_site, say, say_result
 
-_MOST = 40  # values of a range
-_HIGHEST_M, _FARTHEST_M = 30.0, 60.0
 _TILTS = 26  # of a grid over the searched tilts: whole degrees over the paper's range
 _AS_GOOD = "~"
 _HOW_TO_READ = (
@@ -48,8 +46,7 @@ _HOW_TO_READ = (
 
 def run(args: argparse.Namespace) -> int:
     """Carry it out; returns the exit code."""
-    setbacks = parse_range(args.setback, "--setback", _FARTHEST_M)
-    heights = parse_range(args.heights, "--height", _HIGHEST_M)
+    setbacks, heights = args.setback, args.heights
     scenario = scenario_from(args)
     if scenario.is_layout:
         raise InputError(f"{scenario.source}: [[lidar]]: are {len(scenario.lidars)}; a table is of one: [deployment]")
@@ -60,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"--out: {folder}: is not empty; allowed: a new folder")
     names = args.sensors.split(",") if args.sensors else [scenario.lidar.sensor.name]
-    scenarios = [scenario_from(_with_sensor(args, name)) for name in names]
+    scenarios = [scenario_from(args, sensor=name.strip()) for name in names]
     mounts = [[mounting_at(one, setback, height) for setback in setbacks for height in heights] for one in scenarios]
     with folder_lock(folder):
         rows, tables, notes = [], [], []
@@ -81,31 +78,6 @@ def run(args: argparse.Namespace) -> int:
     return say_result(args, f"{text}\n\nResults in {folder}: table.html, table.csv", {"cells": rows})
 
 
-def parse_range(text: str, option: str, most: float) -> list[float]:
-    """Numbers from "3,4.5,6" or "2:10:2", the end of a range included, or both mixed; each once, rising.
-
-    Raises
-    ------
-    InputError
-        When it is none of these, or a number is not above 0 up to `most`.
-    """
-    found: list[float] = []
-    for part in text.split(","):
-        try:
-            first, *more = (float(number) for number in part.split(":"))
-            last, step = (more or [first, 1.0]) if len(more) != 1 else (math.nan, 0.0)
-            count = math.floor((last - first) / step + 1e-9) + 1 if step > 0.0 and math.isfinite(last - first) else 0
-        except ValueError:
-            count, first = 0, math.nan
-        if not 1 <= count <= _MOST or not 0.0 < first <= last <= most:
-            raise InputError(
-                f"{option}: {part!r}; allowed: metres above 0 up to {most:g}, such as 3,4.5,6 or a range 2:10:2, not "
-                f"more than {_MOST}"
-            )
-        found += [round(first + number * step, 6) for number in range(count)]
-    return sorted(set(found))
-
-
 def mounting_at(scenario: Scenario, setback_m: float, height_m: float) -> Mounting:
     """The baseline at another setback from the road's edge and another height, on the side where the mast stands.
 
@@ -123,11 +95,6 @@ def mounting_at(scenario: Scenario, setback_m: float, height_m: float) -> Mounti
     x_m, y_m = road.at(float(road.locate(np.array([xy])).s_m[0]), across).tolist()
     facing = math.radians(scenario.lidar.deployment.facing.at((x_m, y_m), road))
     return replace(scenario.lidar.baseline, mast=mast_at(road, x_m, y_m, facing), height_m=height_m)
-
-
-def _with_sensor(args: argparse.Namespace, name: str) -> argparse.Namespace:
-    left_out = tuple(option for option in args.left_out if option != "--sensor")
-    return argparse.Namespace(**{**vars(args), "sensor": name.strip(), "left_out": left_out})
 
 
 def _cells(site: Site, setbacks: Sequence[float], heights: Sequence[float]) -> tuple[list[dict], list[str]]:
