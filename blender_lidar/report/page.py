@@ -17,7 +17,7 @@ from .. import __version__
 from ..document import ANSWER, ASSUMED, CAUTION, DOUBT, MEANING, NOTE, Table, as_sentence
 from ..files import write_text
 from ..run.folder import DETECTION, INSTALLATION, REPORT, RESULT, SCENE, RunFolder, of_lidar, refused_by_name
-from ..run.words import boxes_text, each_lidar, frames_word, gate_text, mounting_name, region_text, sides, was_searched
+from ..run.words import boxes_text, each_lidar, frames_word, gate_text, mounting_name, sides, was_searched
 from ..toml_table import read_toml
 from ..traffic.vehicles import RepairReport, counted
 from .detection import detection_table, detection_text
@@ -214,8 +214,8 @@ def report_html(run: RunFolder) -> str:
         content = (
             _heading(run),
             _pictures("The scene", render_figures(run)),
-            _scores(run),
             _notes(run),
+            _scores(run),
             _where(run),
             _detection(run),
             _pictures("How sure the optimum is", chart_figures(run, "layout.png", "score_map.png", "convergence.png")),
@@ -260,7 +260,6 @@ def _heading(run: RunFolder):
         element("p", kind, class_="kind"),
         element("h1", result["site"], " ", element("span", result["sensor"])),
         element("p", f"{gate_text(result).capitalize()} · traffic {traffic} · {frames}", class_="facts"),
-        element("p", f"Vehicles count {region_text(result['region'])}", class_="facts"),
         *(element("p", minus(one.text), class_="warning") for one in told.of(DOUBT)),
         terms(((one.label, minus(one.text)) for one in told.of(ANSWER)), "answer"),
     )
