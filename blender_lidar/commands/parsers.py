@@ -122,7 +122,7 @@ def _optimise(subparsers) -> None:
     _output(parser, resumed="run")
 
 
-_DETECTIONS = "CSV, nuScenes' JSON, or a folder of KITTI's label texts"
+_DETECTIONS = "CSV, or a folder of KITTI's label texts"
 
 
 def _detector(parser: argparse.ArgumentParser, default: str | None = None) -> None:
