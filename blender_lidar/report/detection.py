@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from ..metrics.catalogue import DETECTABLE
+from .summary import change_text, in_brackets, measured
 from .tables import TextTable
 
 _ROWS = {
@@ -24,24 +26,30 @@ _TABLED = {  # of groups
 
 
 def detection_text(result: Mapping) -> str:
-    """How many vehicles are found at the mounting, beside the baseline where that was judged too."""
-    given = result["mountings"]["given"]
+    """How many vehicles are found at the mounting, beside the baseline where that was judged, and how sure that is."""
+    given, baseline = result["mountings"]["given"], result["mountings"].get("baseline")
     if given["recall_0.3"] is None:
         return "No vehicle counts in these frames."
-    said = f"At confidence 0.3 the detector finds {_percent(given['recall_0.3'])} % of the vehicles"
-    if "baseline" in result["mountings"]:
-        said += f" instead of {_percent(result['mountings']['baseline']['recall_0.3'])} % under the baseline"
-        over = given.get("over_baseline", {}).get("recall_0.3")
-        said += ", {} points ({})".format(*_difference(over)) if over and over["interval_90"] else ""
+    said = f"At confidence 0.3 the detector finds {_sure(given, 'recall_0.3')} of the vehicles"
+    if baseline:
+        over, unit = given["over_baseline"]["recall_0.3"], "percentage points"
+        said += f" instead of {_sure(baseline, 'recall_0.3')} under the baseline, "
+        said += change_text(DETECTABLE, over["difference"], over["interval_90"], unit)
     if given["precision_0.3"] is not None:
-        said += f", and {_percent(given['precision_0.3'])} % of what it finds are vehicles"
+        said += f", and {_sure(given, 'precision_0.3')} of what it finds are vehicles"
     if given["with_return"] is not None:
         said += f"; {_percent(given['with_return'])} % have a return at all"
     if "detectable_share" in result:
         said += f", and the fused points make {_percent(result['detectable_share'])} % detectable"
-    empty = given.get("without_boxes", 0)
+    empty = given["without_boxes"]
     scenes = f"{result['scans']} scans" if "scans" in result else f"{result['frames']} frames"
     return said + (f"; {empty} of the {scenes} have no detection." if empty else ".")
+
+
+def _sure(scores: Mapping, key: str) -> str:
+    """A share in per cent with its interval."""
+    share, within = measured(DETECTABLE, scores[key], scores["interval_90"][key])
+    return f"{share} %{in_brackets(within)}"
 
 
 def detection_table(result: Mapping) -> TextTable:

@@ -371,6 +371,13 @@ def measured(metric: Metric, value: float, ends: Sequence[float] | None, sign: s
     return metric.number(value, more, sign), span(metric, ends, more, sign)
 
 
+def change_text(metric: Metric, value: float, ends: Sequence[float] | None, unit: str) -> str:
+    """A difference with its interval; one that holds 0 shows none, and without an interval nothing is shown."""
+    number, within = measured(metric, value, ends, "+")
+    unsure = ", which holds 0: not shown" if ends and ends[0] <= 0.0 <= ends[1] else ""
+    return f"{minus(number)} {unit}{in_brackets(within + unsure) or ' (no interval)'}"
+
+
 def approaches_text(result: Mapping) -> str:
     """The detectable share of each approach under the mounting, in per cent with 90 % intervals; "" without any."""
     found = []
@@ -461,9 +468,7 @@ def over_single_text(result: Mapping) -> str:
         measures.append(("the objective", metric, "objective_gain", "interval_90", unit))
     texts = []
     for of, measure, key, interval, unit in measures:
-        (number, within), ends = measured(measure, gain[key], gain[interval], "+"), gain[interval]
-        unsure = ", which holds 0: not shown" if ends and ends[0] <= 0.0 <= ends[1] else ""
-        texts.append(f"{of} changes by {minus(number)} {unit}{in_brackets(within + unsure) or ' (no interval)'}")
+        texts.append(f"{of} changes by {change_text(measure, gain[key], gain[interval], unit)}")
     planned, on = "exactly as planned and " if errors_text(result) else "", layout_frames(result)
     return f"{planned}compared with {what} ({' and '.join(first)}), {' and '.join(texts)}, on {on} frames"
 
