@@ -305,23 +305,7 @@ def csv_results(made: Path, path: Path) -> Path:
     return write_table(path, rows, ("frame", *names, "confidence"))
 
 
-def nuscenes_results(made: Path, path: Path) -> Path:
-    tables = made / "nuscenes" / "v1.0-trainval"
-    samples, annotations, instances = (
-        json.loads((tables / f"{name}.json").read_text()) for name in ("sample", "sample_annotation", "instance")
-    )
-    category = {row["token"]: row["category_token"] for row in instances}
-    results = {row["token"]: [] for row in samples}
-    for row in annotations:
-        if row["num_lidar_pts"]:
-            box = {key: row[key] for key in ("sample_token", "translation", "size", "rotation")}
-            name = category[row["instance_token"]].split(".")[1]
-            results[row["sample_token"]].append({**box, "detection_name": name, "detection_score": 0.9})
-    path.write_text(json.dumps({"meta": {"use_lidar": True}, "results": results}))
-    return path
-
-
-RESULTS = {"label_2": kitti_results, "own.csv": csv_results, "own.json": nuscenes_results}
+RESULTS = {"label_2": kitti_results, "own.csv": csv_results}
 
 
 @pytest.mark.parametrize("name", RESULTS)

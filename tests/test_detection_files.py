@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 
@@ -76,31 +75,6 @@ def test_the_camera_of_kitti_looks_along_the_x_axis_of_the_levelled_cloud():
     np.testing.assert_allclose(-np.sin(rotation_y), forward[:, 0], atol=1e-12)
 
 
-def nuscenes(**changes):
-    entry = {
-        "translation": [1.0, 2.0, 0.75],
-        "size": [1.8, 4.5, 1.5],
-        "rotation": [math.cos(0.2), 0.0, 0.0, math.sin(0.2)],
-        "detection_name": "car",
-        "detection_score": 0.7,
-    }
-    return json.dumps({"meta": {}, "results": {"scene-i80-000100": [{**entry, **changes}], "scene-i80-000101": []}})
-
-
-def test_results_of_nuscenes_are_read(tmp_path):
-    (tmp_path / "found.json").write_text(nuscenes())
-    read = read_detected(tmp_path / "found.json", POSE)
-    assert set(read) == {100, 101}
-    (box,) = zip(read[100].centre_m.tolist(), read[100].size_m.tolist(), read[100].heading_rad, strict=True)
-    assert box == ([1.0, 2.0, 0.75], [4.5, 1.8, 1.5], pytest.approx(0.4))
-    assert len(read[101]) == 0
-
-
-def test_what_is_no_vehicle_is_left_out(tmp_path):
-    (tmp_path / "found.json").write_text(nuscenes(detection_name="pedestrian"))
-    assert len(read_detected(tmp_path / "found.json", POSE)[100]) == 0
-
-
 HEADER = "frame,class,x_m,y_m,z_m,length_m,width_m,height_m,heading_deg,confidence\n"
 KITTI = "Car -1 -1 -10 -1 -1 -1 -1 1.5 1.8 4.5 1 2 20 0.1 0.9\n"
 BAD = {
@@ -112,22 +86,19 @@ BAD = {
         (HEADER + "1,lorry,0,0,0,4,2,1,0,0.5\n", "a.csv:2: unknown class 'lorry'"),
         (HEADER + "1,car,nan,0,0,4,2,1,0,0.5\n", "a.csv:2: x_m is 'nan'"),
     ],
-    "a.json": [
-        ("{", "a.json: is not JSON"),
-        ("[]", "a.json: has no 'results'"),
-        (nuscenes(size=[1, 2]), "a.json: scene-i80-000100, 1: is no detection; needed: translation (3)"),
-        (nuscenes(detection_score=2), "scene-i80-000100, 1: confidence is 2; allowed: 0 to 1"),
-        (nuscenes(rotation=[0, 0, 0, 0]), "1: rotation is no unit quaternion"),
-        (json.dumps({"results": {"ca9a282c9e77460f8360f564131a8af5": []}}), "does not end with the number of a frame"),
-        (json.dumps({"results": {"a-1": [], "b-1": []}}), "b-1: frame 1 is there twice"),
-    ],
     "000100.txt": [
         (KITTI.rpartition(" ")[0], "000100.txt:1: 15 fields; allowed: 16, the last is the score"),
         (KITTI.replace("20", "twenty"), "000100.txt:1: 'twenty' is no number"),
         (KITTI.replace("4.5", "-4.5"), "000100.txt:1: length is -4.5; allowed: more than 0"),
+        (KITTI.replace("0.9", "2"), "000100.txt:1: confidence is 2; allowed: 0 to 1"),
         (KITTI.replace("Car", "Lorry"), "000100.txt:1: unknown class 'lorry'"),
     ],
 }
+
+
+def test_what_is_no_vehicle_is_left_out(tmp_path):
+    (tmp_path / "000100.txt").write_text(KITTI.replace("Car", "Pedestrian"))
+    assert len(read_detected(tmp_path, POSE)[100]) == 0
 
 
 @pytest.mark.parametrize(("name", "content", "message"), [(name, *one) for name, some in BAD.items() for one in some])
@@ -140,6 +111,6 @@ def test_what_is_wrong_is_refused_in_a_line(name, content, message, tmp_path):
 
 
 def test_a_file_that_is_not_there_and_an_empty_folder_are_told(tmp_path):
-    for path in (tmp_path, tmp_path / "a.csv", tmp_path / "a.json"):
+    for path in (tmp_path, tmp_path / "a.csv"):
         with pytest.raises(MissingFileError):
             read_detected(path, POSE)

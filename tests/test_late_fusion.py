@@ -300,9 +300,19 @@ def test_joined_boxes_of_no_lidar_are_none():
     assert len(late_fusion([])) == len(join_boxes([])) == 0
 
 
-def test_what_a_detector_finds_beside_the_baseline_has_its_interval():
-    of = {"recall_0.3": 0.8, "precision_0.3": 0.9, "with_return": 1.0}
-    over = {"recall_0.3": {"difference": 0.05, "interval_90": [-0.02, 0.12]}}
-    mountings = {"baseline": {"recall_0.3": 0.75}, "given": {**of, "over_baseline": over}}
-    text = detection_text({"mountings": mountings, "frames": 4})
-    assert "80.0 % of the vehicles instead of 75.0 % under the baseline, +5.0 points (-2.0 to +12.0)" in text
+@pytest.mark.parametrize(
+    ("ends", "told"),
+    [
+        ([-0.02, 0.12], "+5 points (-2 to +12); not shown, and"),
+        ([0.02, 0.08], "+5 points (+2 to +8), and"),
+        (None, "+5 points; no interval, and"),
+    ],
+)
+def test_what_a_detector_finds_beside_the_baseline_has_its_interval_and_doubt(ends, told):
+    of = {"recall_0.3": 0.8, "precision_0.3": 0.9, "with_return": 1.0, "without_boxes": 0}
+    sure = {"interval_90": {"recall_0.3": [0.7, 0.9], "precision_0.3": None}}
+    given = {**of, **sure, "over_baseline": {"recall_0.3": {"difference": 0.05, "interval_90": ends}}}
+    text = detection_text({"mountings": {"baseline": {"recall_0.3": 0.75, **sure}, "given": given}, "frames": 4})
+    assert "finds 80 % (70 to 90) of the vehicles instead of 75 % (70 to 90) under the baseline: " in text
+    assert told in text
+    assert "90 % of what it finds are vehicles; 100.0 % have a return at all." in text

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_lidar.detection.judge import detection_result, judge_detectors, judged_boxes, watched
+from blender_lidar.detection.judge import judge_detectors, site_judge, watched
 from blender_lidar.detection.pillars import PillarsDetector
 from blender_lidar.detection.scores import recall
 from blender_lidar.detection.stored import read_dataset
@@ -173,8 +173,8 @@ def test_a_detector_is_judged_by_approach_and_the_sheet_tells_each_approachs_sha
         vehicles = frame.select(frame.approach == "from_west")
         kinds, sure = vehicles.kind, np.full(len(vehicles), 0.9)
         found.append(detected_boxes(vehicles.centre_m, vehicles.size_m, vehicles.heading_rad, kinds, sure))
-    judged = judged_boxes(found, site.holdout, site.region, (19.0, 19.0), None)
-    result = detection_result(site, "ours", {"mounting": judged})["mountings"]["mounting"]
+    judge = site_judge(site)
+    result = judge.result("ours", {"given": judge.judged(found, (19.0, 19.0))}, {})["mountings"]["given"]
     recall = {name: one["recall_0.3"] for name, one in result["by_approach"].items()}
     assert recall == {"from_west": 1.0, "from_east": 0.0, "from_north": 0.0, "from_south": 0.0}
     known = sum(int(frame.counted[frame.approach != ""].sum()) for frame in site.holdout)

@@ -16,22 +16,19 @@ from ..detection.classical import ClassicalDetector, dbscan_class
 from ..detection.files import Poses, write_detected, write_kitti_labels
 from ..detection.judge import (
     DETECTORS,
-    detection_result,
     detector_at,
     hung_off,
     is_ours,
     is_weights,
     judge_detectors,
     judged_from_file,
-    judging_frames,
+    site_judge,
     weights_of,
 )
 from ..detection.labels import labelled_numbers, read_labels
 from ..detection.pillars import PillarsDetector, load_weights
-from ..detection.scores import CRITERIA
 from ..detection.stored import (
     check_clouds,
-    dataset_result,
     detect_in_clouds,
     is_dataset,
     judge_in_clouds,
@@ -142,7 +139,7 @@ def judge_at(site: Site, layout: Layout, detector: str, folder: Path) -> dict:
     mounts = {"baseline": site.scenario.baselines, "given": layout}
     if mounts["baseline"] == layout or not is_ours(detector):
         del mounts["baseline"]
-    judged, several = {}, len(layout) > 1
+    judge, judged, several = site_judge(site), {}, len(layout) > 1
     if is_ours(detector):
         made = {
             name: [detector_at(site.with_lidar(number), one, detector) for number, one in enumerate(mounts[name])]
@@ -150,7 +147,7 @@ def judge_at(site: Site, layout: Layout, detector: str, folder: Path) -> dict:
         }
         workers = workplace_of(site.scenario.model).processes
         learnt = sum(len(site.search) for detectors in made.values() for one in detectors if one.learns)
-        with closing(Progress(learnt + len(made) * len(judging_frames(site)[0]), "clouds")) as progress:
+        with closing(Progress(learnt + len(made) * len(judge.frames), "clouds")) as progress:
             for name, detectors in made.items():
                 of_all = judge_detectors(site, mounts[name], detectors, workers, progress.advance)
                 judged |= of_all if name == "given" else {name: of_all["given"]}
@@ -163,23 +160,22 @@ def judge_at(site: Site, layout: Layout, detector: str, folder: Path) -> dict:
         {"name": lidar.name, "deployment": planned.as_table(), "hangs": hangs.as_table()}
         for lidar, planned, hangs in zip(site.scenario.lidars, layout, hung, strict=True)
     ]
-    ceiling = Evaluator(judging_frames(site)[0], site.observation, site.scoring).totals([hung]) if several else None
-    result = {
+    ceiling = Evaluator(judge.frames, site.observation, site.scoring).totals([hung]) if several else None
+    about = {
         "scene": Path(site.scenario.source).name,
         "sensor": sensors_text(site),
         "region": asdict(site.scenario.region),
         "caster": site.observation.caster,
         **({"lidars": rows} if several else {key: rows[0][key] for key in ("deployment", "hangs")}),
         **({"detectable_share": float(ceiling.detectable_share()[0])} if several else {}),
-        "criteria": [criterion.name for criterion in CRITERIA],
-        **detection_result(site, detector, judged),
-        "warnings": [*site.recording.report.warnings_as_dicts(), *judged["given"].warnings],
-        "notes": [*site.plan.notes, *judged["given"].notes],
+        "warnings": site.recording.report.warnings_as_dicts(),
+        "notes": site.plan.notes,
         "versions": versions(site.observation.caster),
     }
+    result = judge.result(detector, judged, about)
     found = {
         "" if name == "given" else f"_{name.replace(' ', '_')}": (
-            dict(zip(result["frame_ids"], one.boxes, strict=True)),
+            dict(zip(judge.numbers, one.boxes, strict=True)),
             poses.get(name, layout[0].pose),
         )
         for name, one in judged.items()
@@ -220,9 +216,8 @@ def _run_dataset(args: argparse.Namespace, place: Path) -> int:
     check_detector(args.detector)
     folder = _folder(args, lambda: new_folder(f"{place.resolve().name}_detection"))
     with ExitStack() as stack:
-        judged = judge_on_dataset(stored, args.detector, _workers(args), _progress(stack), args.accept)
-    result = dataset_result(stored, args.detector, judged)
-    _write(folder, {"": (dict(zip(result["scan_ids"], judged.boxes, strict=True)), stored.poses)}, result)
+        result, boxes = judge_on_dataset(stored, args.detector, _workers(args), _progress(stack), args.accept)
+    _write(folder, {"": (boxes, stored.poses)}, result)
     scans = f"{result['scans']:,} scans{' of split val' * stored.validates} ({result['frames']} frames)"
     return _print(args, folder, result, f"{scans}, labelled vehicles {region_text(result['region'])}")
 
@@ -242,8 +237,9 @@ def _run_clouds(args: argparse.Namespace, place: Path) -> int:
     with ExitStack() as stack:
         found = detect_in_clouds(place, args.detector, _workers(args), _progress(stack), hung, asked.get("region"))
     if labels is not None:
-        judged = judge_in_clouds(found, labels, asked["boxes"], args.accept, labelled_numbers(asked["boxes"]))
-        result = {"clouds": place.resolve().name, "detector": args.detector, **judged}
+        where, empty = asked["boxes"], labelled_numbers(asked["boxes"])
+        result = {"clouds": place.resolve().name}
+        result |= judge_in_clouds(found, args.detector, labels, where, args.accept, empty)
         _write(folder, {"": (found.boxes, found.pose)}, result)
         return _print(args, folder, result, f"{counted(result['frames'], 'frame')}, boxes of {asked['boxes']}")
     make_folder(folder, "--out")

@@ -172,7 +172,7 @@ def run_build(args: argparse.Namespace) -> int:
 def _detections(path: str | Path | None, layout: Sequence[Mounting]) -> dict[int, Boxes]:
     """What a file says was found in a layout, by frame; nothing without a file."""
     if len(layout) > 1 and path is not None and Path(path).is_dir():
-        raise InputError(f"--detections: {path}: KITTI's labels are of one LiDAR; allowed: CSV or nuScenes' JSON")
+        raise InputError(f"--detections: {path}: KITTI's labels are of one LiDAR; allowed: CSV")
     return {} if path is None else read_detected(path, layout[0].pose)
 
 

@@ -67,8 +67,8 @@ class Detected:
         "--detector NAME",
         "detector to judge on clouds of the held-out frames: pillars, a neural network (PointPillars, trained in "
         "simulated roadsides); classical, which is not trained (background subtraction, DBSCAN, L-shapes); "
-        "FILE.npz, the network with weights of your own; or FILE, detections of your own: CSV, nuScenes' JSON, or "
-        "a folder of KITTI's label texts",
+        "FILE.npz, the network with weights of your own; or FILE, detections of your own: CSV, or a folder of "
+        "KITTI's label texts",
         group="detector",
     )
 
@@ -335,7 +335,7 @@ class BuildOptions(OfMounting, OfFrames):
     no_cloud: bool = option("--no-cloud", "leave the point cloud out", False, group="output")
     detections: str | None = option(
         "--detections",
-        "show these detections as wire boxes: CSV, nuScenes' JSON, or a folder of KITTI's label texts",
+        "show these detections as wire boxes: CSV, or a folder of KITTI's label texts",
         is_path=True,
     )
     out: str = option("--out FILE.blend", "the file to write", ...)
@@ -365,7 +365,7 @@ class RenderOptions:
     detections: str | None = option(
         "--detections",
         "show these detections as wire boxes, and those of the baseline if NAME_baseline is in the same folder: "
-        "CSV, nuScenes' JSON, or a folder of KITTI's label texts",
+        "CSV, or a folder of KITTI's label texts",
         is_path=True,
     )
 

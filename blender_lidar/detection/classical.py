@@ -16,14 +16,12 @@ from ..sensors.beams import BeamLattice
 from ..sensors.imperfections import PERFECT, Imperfections
 from ..traffic.boxes import KINDS, Boxes, boxes_of_rows, no_boxes, suppressed
 from .ground import Ground, fit_ground
+from .l_shape import LONG_M, USUAL_M, LShape, l_shape_heading
 
 _CAR, _LARGE, _SMALL = (KINDS.index(name) for name in ("car", "truck or bus", "motorcycle"))
-_USUAL_M = {_CAR: (4.5, 1.8, 1.5), _LARGE: (9.0, 2.5, 3.2), _SMALL: (2.1, 0.8, 1.4)}
-_LONGER_M, _HIGHER_M = 6.5, 2.4  # than any car
+_USUAL_OF_KIND_M = {_CAR: USUAL_M["car"], _LARGE: USUAL_M["truck"], _SMALL: USUAL_M["motorcycle"]}
+_HIGHER_M = 2.4  # than any car
 _NARROW_M = 1.0  # a motorcycle, where both its length and its width are seen
-_HEADINGS_RAD = np.radians(np.arange(-45.0, 45.0, 1.0))
-_LEAST_EDGE_M = 0.02  # of the closeness criterion: points nearer to an edge count no more
-_MOST_FITTED = 200  # points
 _MOST_IOU = 0.1
 
 
@@ -132,24 +130,15 @@ class ClassicalDetector:
         Heights are counted from the ground; `lidars` (m, 2) are those that see it.
         """
         heading = 0.0 if len(points) < _TURNED_POINTS else l_shape_heading(points[:, :2])
-        turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
-        local = points[:, :2] @ turn  # along and across
-        low, high = local.min(axis=0), local.max(axis=0)
-        seen, top = high - low, float(points[:, 2].max())
-        kind = _CAR
-        if seen[0] > _LONGER_M or top > _HIGHER_M:
+        shape, top, kind = LShape.about(points[:, :2], heading), float(points[:, 2].max()), _CAR
+        if shape.seen[0] > LONG_M or top > _HIGHER_M:
             kind = _LARGE
-        elif seen.max() < _USUAL_M[_SMALL][0] and seen[1] < _NARROW_M and seen[0] > _NARROW_M:
+        elif shape.seen.max() < _USUAL_OF_KIND_M[_SMALL][0] and shape.seen[1] < _NARROW_M < shape.seen[0]:
             kind = _SMALL
-        length, width, height = _USUAL_M[kind]
-        size = np.maximum(seen, (length, width))
-        above, below = ((lidars @ turn > high).any(axis=0), (lidars @ turn < low).any(axis=0))
-        # The sides that face a LiDAR are seen; what is missing lies beyond the others.
-        middle = 0.5 * (low + high)
-        centre = np.where(above > below, high - 0.5 * size, np.where(below > above, low + 0.5 * size, middle))
-        height = max(top, height)
-        confidence = len(points) / (len(points) + _SURE_POINTS)
-        return (*(turn @ centre).tolist(), 0.5 * height, *size.tolist(), height, heading, kind, confidence)
+        length, width, height = _USUAL_OF_KIND_M[kind]
+        size, height = np.maximum(shape.seen, (length, width)), max(top, height)
+        centre, confidence = shape.centre(size, lidars), len(points) / (len(points) + _SURE_POINTS)
+        return (*centre.tolist(), 0.5 * height, *size.tolist(), height, heading, kind, confidence)
 
 
 def early_fusion(detectors: Sequence[ClassicalDetector], foregrounds: Sequence[tuple[np.ndarray, Ground]]) -> Boxes:
@@ -170,18 +159,3 @@ def early_fusion(detectors: Sequence[ClassicalDetector], foregrounds: Sequence[t
     nearest = np.hypot(away[..., 0], away[..., 1]).argmin(axis=0)
     boxes.centre_m[:, 2] += heights[nearest, np.arange(len(boxes))]
     return boxes
-
-
-def l_shape_heading(xy: np.ndarray) -> float:
-    """L-shape fitting: the heading [rad], -45 to 45 degrees, whose rectangle has points (n, 2) [m] near its edges.
-
-    A variant of the closeness criterion of Zhang, Xu, Dong and Dolan, "Efficient L-shape fitting for vehicle detection
-    using laser scanners", IV 2017: each point counts by the nearest of all four edges.
-    """
-    xy = xy[:: max(1, len(xy) // _MOST_FITTED)] - xy.mean(axis=0)
-    cos, sin = np.cos(_HEADINGS_RAD)[:, None], np.sin(_HEADINGS_RAD)[:, None]
-    nearest = np.full((len(_HEADINGS_RAD), len(xy)), np.inf)
-    for across in (cos * xy[:, 0] + sin * xy[:, 1], cos * xy[:, 1] - sin * xy[:, 0]):
-        for edge in (across.min(axis=1, keepdims=True), across.max(axis=1, keepdims=True)):
-            nearest = np.minimum(nearest, np.abs(across - edge))
-    return float(_HEADINGS_RAD[(1.0 / np.maximum(nearest, _LEAST_EDGE_M)).sum(axis=1).argmax()])

@@ -1,8 +1,7 @@
-"""Detections as files: CSV of our own, KITTI's label text and nuScenes' JSON, of any detector, by frame."""
+"""Detections as files: CSV of our own and KITTI's label text, of any detector, by frame."""
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +24,7 @@ _KINDS_OF_NAMES = {
     **dict.fromkeys(("truck or bus", "truck", "bus", "trailer", "construction_vehicle", "tram"), _LARGE),
     **dict.fromkeys(("motorcycle", "cyclist", "bicycle"), _SMALL),
 }
-"""What detectors of KITTI and nuScenes call vehicles, in small letters."""
+"""What detectors and labels call vehicles, in small letters."""
 NO_VEHICLES = ("pedestrian", "person_sitting", "traffic_cone", "barrier", "misc", "dontcare", "roadworker", "child")
 NO_VEHICLES += ("animal", "trashcan", "roadbarrel", "unknown", "unknown1", "unknown2", "cart", "cone", "trafficcone")
 _PLACE, _SIZE = Column("a number of metres, -1e9 to 1e9", -1e9, 1e9), Column("more than 0, up to 1000", 1e-3, 1e3)
@@ -37,6 +36,7 @@ _COLUMNS = {
     "confidence": Column("0 to 1", 0.0, 1.0),
 }
 _KITTI_NAMES = ("Car", "Truck", "Cyclist")  # by kind
+_OF_KITTI = ("height_m", "width_m", "length_m", "x_m", "y_m", "z_m", "heading_deg", "confidence")  # in KITTI's order
 Poses = Pose | Sequence[Pose]
 """The LiDAR's pose in all frames, or one for each number from 0 on."""
 
@@ -49,9 +49,8 @@ def read_detected(path: str | Path, poses: Poses) -> dict[int, Boxes]:
     Parameters
     ----------
     path : path
-        A CSV file as `write_detected` writes it; nuScenes' JSON of results in the road frame, whose tokens end with the
-        number of the frame; or a folder of KITTI's label texts with scores, named by their frames, in the camera frame
-        that `kitti_camera` describes.
+        A CSV file as `write_detected` writes it; or a folder of KITTI's label texts with scores, named by their frames,
+        in the camera frame that `kitti_camera` describes.
     poses : Pose, or sequence of Pose
         What KITTI's boxes are seen from; or one for each number from 0 on, and then there may be no other number.
 
@@ -63,7 +62,7 @@ def read_detected(path: str | Path, poses: Poses) -> dict[int, Boxes]:
     path = Path(path)
     if path.is_dir():
         return _read_kitti(path, poses)
-    found = _read_nuscenes(path) if path.suffix.lower() == ".json" else _read_csv(path)
+    found = _read_csv(path)
     if not found:
         raise InputError(f"{path}: has no detection of a vehicle")
     for number in found:
@@ -196,8 +195,11 @@ def kitti_lines(path: Path, fields: Sequence[int]) -> Iterator[tuple[str, str, l
             last = ", the last is the score" if 16 in fields else ""
             raise InputError(f"{where}: {len(words)} fields; allowed: {' or '.join(map(str, fields))}{last}")
         if words and words[0].lower() not in NO_VEHICLES:
-            height, width, length, *rest = numbers = [_number(word, where) for word in words[8:]]
-            _check((*rest[:3], length, width, height, *rest[3:4], 0, *(rest[4:] or [1.0])), where)
+            numbers = [_number(word, where) for word in words[8:]]
+            for name, value in zip(_OF_KITTI, numbers, strict=False):
+                if not _COLUMNS[name].accepts(np.array([value]))[0]:
+                    what, allowed = name.partition("_")[0], _COLUMNS[name].allowed
+                    raise InputError(f"{where}: {what} is {value:g}; allowed: {allowed}")
             yield where, words[0], numbers
 
 
@@ -214,60 +216,3 @@ def _number(word: str, where: str) -> float:
         return float(word)
     except ValueError:
         raise InputError(f"{where}: {printable(word)!r} is no number") from None
-
-
-def _check(row: Sequence[float], where: str) -> None:
-    """Refuse a box that is none, or a score that is no share."""
-    columns = [*("x_m", "y_m", "z_m", "length_m", "width_m", "height_m"), "heading_deg"]
-    for name, value in zip([*columns, "", "confidence"], row, strict=True):
-        if name and not _COLUMNS[name].accepts(np.array([value]))[0]:
-            raise InputError(f"{where}: {name.partition('_')[0]} is {value:g}; allowed: {_COLUMNS[name].allowed}")
-
-
-# --- nuScenes' JSON of results ----------------------------------------------------------------------------------------
-
-_FRAME_AT_END = re.compile(r"(?:.*[^0-9A-Za-z])?([0-9]{1,18})")
-
-
-def _read_nuscenes(path: Path) -> dict[int, Boxes]:
-    text = text_of(path)
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not JSON: {printable(str(error))}") from error
-    results = content.get("results") if isinstance(content, dict) else None
-    if not isinstance(results, dict):
-        raise InputError(f"{path}: has no 'results' by sample tokens, as nuScenes' detections have")
-    found: dict[int, Boxes] = {}
-    for token, entries in results.items():
-        where = f"{path}: {printable(token)}"
-        number = _FRAME_AT_END.fullmatch(token)
-        if number is None:
-            raise InputError(f"{where}: does not end with the number of a frame, after anything but a letter: i80-1000")
-        if int(number[1]) in found:
-            raise InputError(f"{where}: frame {int(number[1])} is there twice")
-        if not isinstance(entries, list):
-            raise InputError(f"{where}: is no list of detections")
-        rows = [row for at, entry in enumerate(entries, 1) if (row := _row_of(entry, f"{where}, {at}"))]
-        found[int(number[1])] = boxes_of_rows(rows)
-    return found
-
-
-def _row_of(entry: Mapping, where: str) -> tuple[float, ...] | None:
-    """A row for `boxes_of_rows`; None for what is no vehicle."""
-    try:
-        name, score = str(entry["detection_name"]), float(entry["detection_score"])
-        (x, y, z), (width, length, height) = (map(float, entry[key]) for key in ("translation", "size"))
-        w, i, j, k = map(float, entry["rotation"])
-    except (LookupError, TypeError, ValueError, OverflowError):
-        text = "translation (3), size (3), rotation (4), detection_name and detection_score"
-        raise InputError(f"{where}: is no detection; needed: {text}") from None
-    kind = _kind(name, where)
-    if kind is None:
-        return None
-    if not 0.99 < w * w + i * i + j * j + k * k < 1.01:
-        raise InputError(f"{where}: rotation is no unit quaternion")
-    heading = math.atan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
-    row = (x, y, z, length, width, height, heading, kind, score)
-    _check(row, where)
-    return row

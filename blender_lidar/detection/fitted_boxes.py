@@ -16,16 +16,16 @@ import numpy as np
 from ..clouds.scan import PointCloud
 from .classical import ClassicalDetector
 from .ground import fit_ground
+from .l_shape import LONG_M, USUAL_M, LShape, l_shape_heading
 
 _COLUMNS = ("frame", "class", "x_m", "y_m", "z_m", "length_m", "width_m", "height_m", "heading_deg", "points")
 _COLUMNS += ("measured", "confidence")
 _KINDS = dict.fromkeys(("class", "measured", "confidence"), str) | dict.fromkeys(("frame", "points"), int)
-_USUAL_M = {"car": (4.5, 1.8, 1.5), "van": (5.2, 2.0, 2.1), "truck": (9.0, 2.5, 3.2)}
-_VAN_M, _TRUCK_M, _LONG_M = 1.85, 2.5, 6.5  # heights of vans and trucks, length of trucks
+_VAN_M, _TRUCK_M = 1.85, 2.5  # heights
 _HEIGHTS_M, _SURFACE_M = (0.18, 4.5), 60.0  # of a vehicle's points above the surface, which is fitted so far along
 _ALONG = 0.5  # of distances along the road when clustering: 1.8 m there are as near as 0.9 m across
 _FEWEST, _LOWEST_M = 5, 0.5  # points of a vehicle, and their top
-_TURNED_POINTS, _MOST_TURNED_RAD, _STRETCH_M = 60, math.radians(5.0), 0.4  # with fewer it heads as the road does
+_TURNED_POINTS, _MOST_TURNED_RAD = 60, math.radians(5.0)  # with fewer it heads as the road does
 # Shorter, narrower or lower ones are not seen whole; nor are tops beyond, as rings lie too far apart.
 _SHORTEST_M, _NARROWEST_M, _LOWEST_TOP_M, _TOP_SEEN_M = 3.3, 1.5, 1.25, 80.0
 _MEDIAN_M = 1.0  # between two directions
@@ -100,36 +100,23 @@ def _clusters(points: np.ndarray, detector: ClassicalDetector) -> Iterator[np.nd
 def _box(points: np.ndarray) -> tuple[str, np.ndarray, tuple[float, float, float], float, str]:
     """Class, centre (2,) and size [m], heading from the road's [rad], and what was measured, from the LiDAR at 0."""
     turned = len(points) >= _TURNED_POINTS and np.ptp(points[:, 0]) > _SHORTEST_M
-    heading = _edge_heading(points[:, :2]) if turned else 0.0
-    turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
-    local = points[:, :2] @ turn
-    low, high, top = local.min(axis=0), local.max(axis=0), float(points[:, 2].max())
-    seen, middle = high - low, 0.5 * (low + high)
-    near, before = np.where(middle > 0.0, low, high), max(low[0], -high[0])
-    side = np.sort(local[np.abs(local[:, 1] - near[1]) < _ON_SIDE_M, 0])
-    gap = np.diff(side, prepend=low[0], append=high[0]).max()
+    heading = l_shape_heading(points[:, :2]) if turned else 0.0
+    if abs(heading) > _MOST_TURNED_RAD:  # no side of a vehicle that follows the road
+        heading = 0.0
+    shape, top, lidar = LShape.about(points[:, :2], heading), float(points[:, 2].max()), np.zeros((1, 2))
+    (low, high), seen = (shape.low, shape.high), shape.seen
+    local, side = points[:, :2] @ shape.turn, (low, high)[int(shape.facing(lidar)[1] > 0)][1]
+    along = np.sort(local[np.abs(local[:, 1] - side) < _ON_SIDE_M, 0])
+    gap = np.diff(along, prepend=low[0], append=high[0]).max()
     found = {
-        "H": top >= _LOWEST_TOP_M and np.hypot(*middle) < _TOP_SEEN_M,
+        "H": top >= _LOWEST_TOP_M and np.hypot(*(low + high)) < 2.0 * _TOP_SEEN_M,
         "L": seen[0] >= _SHORTEST_M and gap <= _GAP_M,
-        "W": seen[1] >= _NARROWEST_M and before > _BEFORE_M,
+        "W": seen[1] >= _NARROWEST_M and max(low[0], -high[0]) > _BEFORE_M,
     }
-    kind = "truck" if top > _TRUCK_M or seen[0] > _LONG_M else "van" if top > _VAN_M else "car"
+    kind = "truck" if top > _TRUCK_M or seen[0] > LONG_M else "van" if top > _VAN_M else "car"
     length, width, height = (
         value if found[key] else max(value, usual)
-        for key, value, usual in zip("LWH", (*seen.tolist(), top), _USUAL_M[kind], strict=True)
+        for key, value, usual in zip("LWH", (*seen.tolist(), top), USUAL_M[kind], strict=True)
     )
-    centre = near + 0.5 * np.sign(middle) * (length, width)
-    if before <= 0.0:  # abreast of the LiDAR, where no end is the nearer one
-        centre[0] = middle[0]
-    return kind, turn @ centre, (length, width, height), heading, "".join(key for key in found if found[key])
-
-
-def _edge_heading(xy: np.ndarray) -> float:
-    """Heading [rad] of the side that faces the LiDAR: of a line through the nearest point of each stretch of it."""
-    stretch = np.floor((xy[:, 0] - xy[:, 0].min()) / _STRETCH_M)
-    order = np.lexsort((np.abs(xy[:, 1]), stretch))
-    edge = xy[order[np.unique(stretch[order], return_index=True)[1]]]
-    off = np.abs(edge[:, 1] - np.polyval(np.polyfit(*edge.T, 1), edge[:, 0]))
-    slope = np.polyfit(*edge[np.argsort(off)[: max(3, int(0.7 * len(edge)))]].T, 1)[0]
-    turn = math.atan(slope)
-    return turn if abs(turn) < _MOST_TURNED_RAD else 0.0  # more is no side of a vehicle that follows the road
+    measured = "".join(key for key in found if found[key])
+    return kind, shape.centre((length, width), lidar), (length, width, height), heading, measured

@@ -1,4 +1,7 @@
-"""A detector judged at mountings of a scene: it sees whole point clouds and knows nothing of what made them."""
+"""Detectors judged: the one judge of scenes, data sets and recorded clouds; and what they find at mountings of a scene.
+
+A detector sees whole point clouds and knows nothing of what made them.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ from ..traffic.boxes import KINDS, Boxes, late_fusion, no_boxes
 from .classical import ClassicalDetector, early_fusion
 from .files import Poses, read_detected
 from .pillars import SHIPPED, PillarsDetector
-from .scores import CRITERIA, Matches, by_approach, by_distance, match, measured, paired_intervals
+from .scores import CRITERIA, Matches, by_approach, by_distance, intervals, match, measured, paired_intervals
 
 
 class Detector(Protocol):
@@ -61,6 +64,175 @@ def is_ours(detector: str) -> bool:
 def weights_of(detector: str) -> str | Path:
     """The file of weights of PointPillars that a name stands for: those that ship, or its own."""
     return SHIPPED if detector == PillarsDetector.name else detector
+
+
+# --- The judge --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedDetector:
+    """What a detector made of the judging frames at one mounting.
+
+    Attributes
+    ----------
+    boxes : sequence of Boxes, f
+        Its detections of each frame.
+    matches : sequence of Matches
+        By each of `CRITERIA`.
+    of_kinds : sequence of sequence of Matches
+        The same of each of `KINDS` alone.
+    with_return : float or None
+        Share of the vehicles with at least one return, which no detector can exceed by much; None where the clouds are
+        not ours.
+    notes : sequence of str
+        What was unlike what the detector is made for.
+    warnings : sequence of dict
+        What does not fit of a file of detections and was accepted, for a result file.
+    """
+
+    boxes: Sequence[Boxes]
+    matches: Sequence[Matches]
+    of_kinds: Sequence[Sequence[Matches]]
+    with_return: float | None
+    notes: Sequence[str] = ()
+    warnings: Sequence[Mapping[str, str]] = ()
+
+    @property
+    def farthest_m(self) -> float:
+        """Distance of the farthest vehicle, hit or false alarm from the LiDAR [m]."""
+        every = (away for one in self.matches for away in (one.distance_m, one.vehicle_distance_m))
+        return max(float(away.max(initial=0.0)) for away in every)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judge:
+    """What detections of f frames are judged by, of a scene, a data set or recorded clouds.
+
+    Attributes
+    ----------
+    frames : sequence of Boxes, f
+        Whose `counted` vehicles are to be found.
+    region : Region
+        Where a detection that meets nothing is a false alarm.
+    block, recording : ndarray, (f,)
+        Block of time of each frame, which intervals resample, and its recording, None where there is one.
+    seed : int
+        For the resampling.
+    held_out : bool
+        Whether these frames chose and taught nothing.
+    scan_ids : sequence of int, f, or None
+        Of a data set, whose frames are scans: their numbers, which detections bear.
+    """
+
+    frames: Sequence[Boxes]
+    region: Region
+    block: np.ndarray
+    seed: int
+    recording: np.ndarray | None = None
+    held_out: bool = False
+    scan_ids: Sequence[int] | None = None
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """What detections of each frame are numbered by."""
+        return [frame.frame for frame in self.frames] if self.scan_ids is None else self.scan_ids
+
+    def judged(
+        self,
+        boxes: Sequence[Boxes],
+        lidar_xy: tuple[float, float] | np.ndarray,
+        with_return: float | None = None,
+        notes: Sequence[str] = (),
+        where: str = "",
+        accept: Sequence[str] | None = None,
+    ) -> JudgedDetector:
+        """Detections of the frames, matched by each of `CRITERIA`, all and of each kind; `lidar_xy` as for `match`.
+
+        Those of a file, `where`, or that files are judged by, are refused where they do not fit unless that is in
+        `accept`.
+
+        Raises
+        ------
+        InputError
+        """
+        warnings = accepted(detections_misfit(boxes, self.frames), where, accept) if where else []
+        of_all, *of_kinds = (
+            [match(boxes, self.frames, self.region, lidar_xy, criterion, kind) for criterion in CRITERIA]
+            for kind in (None, *range(len(KINDS)))
+        )
+        return JudgedDetector(boxes, of_all, of_kinds, with_return, notes, warnings)
+
+    def read(self, path: str | Path, poses: Poses, what: str) -> list[Boxes]:
+        """The detections of one's own detector from a file, as `read_detected` reads it; `what` the frames are called.
+
+        Raises
+        ------
+        MissingFileError, InputError
+            If it cannot be read, or lacks frames; a CSV file has no rows of frames without boxes, but must have some.
+        """
+        of_frame, numbers = read_detected(path, poses), self.numbers
+        missing = [number for number in numbers if number not in of_frame]
+        if len(missing) == len(numbers) or (missing and Path(path).is_dir()):
+            few = ", ".join(map(str, missing[:3]))
+            raise InputError(f"{path}: lacks {len(missing)} of the {len(numbers)} {what}, such as {few}")
+        return [of_frame.get(number, no_boxes()) for number in numbers]
+
+    def result(self, detector: str, judged: Mapping[str, JudgedDetector], about: Mapping[str, object]) -> dict:
+        """The content of detection.json: `about` what was judged, with notes and warnings of its own, and how.
+
+        `judged` is by mounting: "given"; before it perhaps the "baseline" of all, and of several LiDARs each alone and
+        other fusions, which "given" is set `over`.
+        """
+        given, farthest_m, mountings = judged["given"], max(one.farthest_m for one in judged.values()), {}
+        for name, one in judged.items():
+            mountings[name] = self._measured(one, farthest_m)
+            if "baseline" in judged and name != "baseline":
+                mountings[name]["over_baseline"] = self.over(one, judged["baseline"])
+        if others := [name for name in judged if name not in ("baseline", "given")]:
+            mountings["given"]["over"] = {name: self.over(given, judged[name]) for name in others}
+        numbers = {"frames": len(self.frames), "frame_ids": self.numbers}
+        if self.scan_ids is not None:
+            frames = len({frame.frame for frame in self.frames})
+            numbers = {"scans": len(self.frames), "scan_ids": self.numbers, "frames": frames}
+        return {
+            **about,
+            "criteria": [criterion.name for criterion in CRITERIA],
+            "detector": detector,
+            **numbers,
+            "held_out": self.held_out,
+            "blocks": len(np.unique(self.block)),
+            "mountings": mountings,
+            "warnings": [*about.get("warnings", ()), *given.warnings],
+            "notes": [*about.get("notes", ()), *given.notes],
+        }
+
+    def over(self, one: JudgedDetector, other: JudgedDetector) -> dict[str, dict[str, object]]:
+        """How much better one is than another, with paired intervals."""
+        return paired_intervals(one.matches, other.matches, self.block, self.seed, self.recording)
+
+    def _measured(self, one: JudgedDetector, farthest_m: float) -> dict[str, object]:
+        """Of one mounting: of all vehicles with intervals, by distance up to the farthest, by kind and by approach."""
+        blocks = self.block, self.seed, self.recording
+        found = {
+            "with_return": one.with_return,
+            "without_boxes": sum(not len(boxes) for boxes in one.boxes),
+            **measured(one.matches),
+            "interval_90": intervals(one.matches, *blocks),
+            "by_distance": by_distance(one.matches, farthest_m),
+            "by_kind": {kind: measured(matches) for kind, matches in zip(KINDS, one.of_kinds, strict=True)},
+        }
+        if self.frames and self.frames[0].approach is not None:
+            approach = np.concatenate([frame.approach[frame.counts] for frame in self.frames])
+            found["by_approach"] = by_approach(one.matches[0], approach, *blocks)
+        return found
+
+
+def region_of_alarms(region: Region) -> Region:
+    """Where false alarms count: in the region where vehicles count, but a stretch of lanes in all lanes."""
+    return replace(region, stretches=[(s, None) for s, _ in region.stretches])
+
+
+# --- Of a scene -------------------------------------------------------------------------------------------------------
 
 
 def detector_at(site: Site, mounting: Mounting, name: str) -> Detector:
@@ -108,41 +280,12 @@ def within(boxes: Boxes, low: np.ndarray, high: np.ndarray) -> Boxes:
     return boxes.select(((xy >= low) & (xy <= high)).all(axis=1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JudgedDetector:
-    """What a detector made of the judging frames at one mounting.
-
-    Attributes
-    ----------
-    boxes : sequence of Boxes, f
-        Its detections of each frame.
-    matches : sequence of Matches
-        By each of `CRITERIA`.
-    of_kinds : sequence of sequence of Matches
-        The same of each of `KINDS` alone.
-    with_return : float or None
-        Share of the vehicles with at least one return, which no detector can exceed by much; None where the clouds are
-        not ours.
-    notes : sequence of str
-        What was unlike what the detector is made for.
-    warnings : sequence of dict
-        What does not fit of a file of detections and was accepted, for a result file.
-    """
-
-    boxes: Sequence[Boxes]
-    matches: Sequence[Matches]
-    of_kinds: Sequence[Sequence[Matches]]
-    with_return: float | None
-    notes: Sequence[str] = ()
-    warnings: Sequence[Mapping[str, str]] = ()
-
-
-def judging_frames(site: Site) -> tuple[Sequence[Boxes], np.ndarray, np.ndarray]:
-    """The frames that judge, their blocks of time and their recordings: the held-out ones, or all where none is."""
-    plan = site.plan
+def site_judge(site: Site) -> Judge:
+    """What detectors are judged by at the mountings of a scene: its held-out frames, or all where none is."""
+    plan, region, seed = site.plan, region_of_alarms(site.region), site.scenario.search.seed
     if len(site.holdout):
-        return site.holdout, plan.holdout_block, plan.holdout_recording
-    return site.search, plan.search_block, plan.search_recording
+        return Judge(site.holdout, region, plan.holdout_block, seed, plan.holdout_recording, held_out=True)
+    return Judge(site.search, region, plan.search_block, seed, plan.search_recording)
 
 
 def hung_off(site: Site, mounting: Mounting) -> Mounting:
@@ -235,12 +378,14 @@ def judge_detectors(
         "given", by `late_fusion`; before it, of several LiDARs, each one alone, "NAME alone", and the `early_fusion` of
         classical detectors. Distances are from the nearest LiDAR of the layout in all, so that bands hold the same.
     """
-    frames, searched = judging_frames(site)[0], site.search
+    judge, searched = site_judge(site), site.search
     clouds = [clouds_at(site.with_lidar(number), one) for number, one in enumerate(layout)]
     for detector, of in zip(detectors, clouds, strict=True):
         if detector.learns:
             detector.learn(of_each(partial(range_image, detector, of), searched, workers, advance))
-    alone, early, returned = zip(*of_each(partial(_look, detectors, clouds), frames, workers, advance), strict=True)
+    alone, early, returned = zip(
+        *of_each(partial(_look, detectors, clouds), judge.frames, workers, advance), strict=True
+    )
     returned, several, found, notes = np.concatenate(returned, axis=1), len(layout) > 1, {}, []
     lidars = zip(site.scenario.lidars, detectors, zip(*alone, strict=True), returned, strict=True)
     for lidar, detector, of, by in lidars:
@@ -251,107 +396,21 @@ def judge_detectors(
         found[EARLY] = early, returned.any(axis=0)
     found["given"] = [late_fusion([boxes for boxes, _ in of]) for of in alone], returned.any(axis=0)
     notes += [] if site.scenario.world.ground else [_NO_GROUND]
-    region, (low, high), xy = region_of_alarms(site.region), watched(site), np.array([[one.xy for one in layout]])
-    judged = {}
+    (low, high), xy, judged = watched(site), np.array([[one.xy for one in layout]]), {}
     for name, (boxes, by) in found.items():
         with_return = float(by.mean()) if len(by) else None
-        judged[name] = judged_boxes([within(one, low, high) for one in boxes], frames, region, xy, with_return, notes)
+        judged[name] = judge.judged([within(one, low, high) for one in boxes], xy, with_return, notes)
     return judged
 
 
-def judged_boxes(
-    boxes: Sequence[Boxes],
-    frames: Sequence[Boxes],
-    region: Region,
-    lidar_xy: tuple[float, float] | np.ndarray,
-    with_return: float | None,
-    notes: Sequence[str] = (),
-    warnings: Sequence[Mapping[str, str]] = (),
-) -> JudgedDetector:
-    """Detections of frames, matched by each of `CRITERIA`, all and of each of `KINDS`; `lidar_xy` as for `match`."""
-    of_all, *of_kinds = (
-        [match(boxes, frames, region, lidar_xy, criterion, kind) for criterion in CRITERIA]
-        for kind in (None, *range(len(KINDS)))
-    )
-    return JudgedDetector(boxes, of_all, of_kinds, with_return, notes, warnings)
-
-
-def region_of_alarms(region: Region) -> Region:
-    """Where false alarms count: in the region where vehicles count, but a stretch of lanes in all lanes."""
-    return replace(region, stretches=[(s, None) for s, _ in region.stretches])
-
-
 def judged_from_file(site: Site, layout: Layout, path: str) -> JudgedDetector:
-    """The detections of one's own detector, from a file that `files.read_detected` reads; KITTI's of the first LiDAR.
+    """The detections of one's own detector in the judging frames, from a file; KITTI's are of the first LiDAR.
 
     Raises
     ------
     MissingFileError, InputError
-        If it cannot be read, or lacks judging frames; a CSV file has no rows of frames without boxes, but must have
-        some. If they do not fit the traffic, unless that is accepted.
+        If it cannot be read, lacks frames, or does not fit the traffic unless that is accepted.
     """
-    frames = judging_frames(site)[0]
-    boxes = boxes_from_file(path, layout[0].pose, [frame.frame for frame in frames], "judging frames")
-    misfit = detections_misfit(boxes, frames)
-    warnings = accepted(misfit, path, site.scenario.recordings[0].accept)
-    xy = np.array([[one.xy for one in layout]])
-    return judged_boxes(boxes, frames, region_of_alarms(site.region), xy, None, warnings=warnings)
-
-
-def boxes_from_file(path: str | Path, poses: Poses, numbers: Sequence[int], what: str) -> list[Boxes]:
-    """The boxes of some frames from a file, as for `judged_from_file`; `what` these numbers are of."""
-    of_frame = read_detected(path, poses)
-    missing = [number for number in numbers if number not in of_frame]
-    whole = Path(path).is_dir() or Path(path).suffix.lower() == ".json"
-    if len(missing) == len(numbers) or (missing and whole):
-        few = ", ".join(map(str, missing[:3]))
-        raise InputError(f"{path}: lacks {len(missing)} of the {len(numbers)} {what}, such as {few}")
-    return [of_frame.get(number, no_boxes()) for number in numbers]
-
-
-def detection_result(site: Site, name: str, judged: Mapping[str, JudgedDetector]) -> dict[str, object]:
-    """What was found at each of some mountings, for a result file; the first is the baseline of the others.
-
-    `name` is the detector's. Of several LiDARs the last, which fuses, is set `over` each alone and the fused cloud.
-    """
-    frames, block, recording = judging_frames(site)
-    mountings, (first, baseline) = {}, next(iter(judged.items()))
-    several = site.scenario.is_layout
-    farthest = max(map(farthest_m, judged.values()), default=0.0)
-    for mounting, one in judged.items():
-        mountings[mounting] = measured_groups(one, farthest)
-        if frames and frames[0].approach is not None:
-            approach = np.concatenate([frame.approach[frame.counted] for frame in frames])
-            found = by_approach(one.matches[0], approach, block, site.scenario.search.seed, recording)
-            mountings[mounting]["by_approach"] = found
-        over = partial(paired_intervals, one.matches, block=block, seed=site.scenario.search.seed, recording=recording)
-        if one is not baseline and (first == "baseline" or not several):
-            mountings[mounting]["over_baseline"] = over(baseline.matches)
-        if several and mounting == "given":
-            others = {key: other for key, other in judged.items() if key not in ("baseline", "given")}
-            mountings[mounting]["over"] = {key: over(other.matches) for key, other in others.items()}
-    return {
-        "detector": name,
-        "frames": len(frames),
-        "frame_ids": [frame.frame for frame in frames],
-        "held_out": bool(len(site.holdout)),
-        "blocks": len(np.unique(block)),
-        "mountings": mountings,
-    }
-
-
-def farthest_m(judged: JudgedDetector) -> float:
-    """Distance of the farthest vehicle, hit or false alarm from the LiDAR [m]."""
-    every = (away for one in judged.matches for away in (one.distance_m, one.vehicle_distance_m))
-    return max(float(away.max(initial=0.0)) for away in every)
-
-
-def measured_groups(judged: JudgedDetector, farthest: float) -> dict[str, object]:
-    """All results of one mounting: of all vehicles, by distance up to the `farthest` [m], and by kind."""
-    return {
-        "with_return": judged.with_return,
-        "without_boxes": sum(not len(boxes) for boxes in judged.boxes),
-        **measured(judged.matches),
-        "by_distance": by_distance(judged.matches, farthest),
-        "by_kind": {kind: measured(matches) for kind, matches in zip(KINDS, judged.of_kinds, strict=True)},
-    }
+    judge, xy = site_judge(site), np.array([[one.xy for one in layout]])
+    boxes = judge.read(path, layout[0].pose, "judging frames")
+    return judge.judged(boxes, xy, where=path, accept=site.scenario.recordings[0].accept)

@@ -6,7 +6,7 @@ does not count, or lies outside the region, is neither a hit nor a false alarm.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -221,6 +221,7 @@ MEASURES: dict[str, Measure] = {  # of the matches by each of `CRITERIA`
     },
 }
 """Recall and precision are by the first criterion, centres at most 2 m apart."""
+_RECALLS = tuple(f"recall_{at:g}" for at in CONFIDENCES)
 _BAND_M = 10.0  # of distances
 _MOST_UNDEFINED = 0.05  # share of resamples in which nothing is to be divided by: with more there is no interval
 
@@ -251,11 +252,9 @@ def by_approach(
     none, found = np.zeros(len(matches.confidence), dtype=bool), {}
     for name in np.unique(approach[approach != ""]).tolist():
         part = matches.select(none, approach == name)
-        ends = intervals([part] * len(CRITERIA), block, seed, recording)
         found[name] = {"vehicles": len(part.found)}
-        for at in CONFIDENCES:
-            key = f"recall_{at:g}"
-            found[name] |= {key: float(recall(part, at)[0]), f"{key}_interval_90": ends[key]}
+        for key, (value, ends) in _with_intervals(([part],), block, seed, recording, _RECALLS).items():
+            found[name] |= {key: value, f"{key}_interval_90": _within_0_and_1(ends)}
     return found
 
 
@@ -284,13 +283,21 @@ def intervals(
 ) -> dict[str, list[float] | None]:
     """The 90 % interval over blocks of time of each of `MEASURES`, as for `paired_intervals`, within 0 and 1."""
     found = _with_intervals((by,), block, seed, recording)
-    return {name: None if ends is None else np.clip(ends, 0.0, 1.0).tolist() for name, (_, ends) in found.items()}
+    return {name: _within_0_and_1(ends) for name, (_, ends) in found.items()}
+
+
+def _within_0_and_1(ends: Sequence[float] | None) -> list[float] | None:
+    return None if ends is None else np.clip(ends, 0.0, 1.0).tolist()
 
 
 def _with_intervals(
-    sides: Sequence[Sequence[Matches]], block: np.ndarray, seed: int, recording: np.ndarray | None
+    sides: Sequence[Sequence[Matches]],
+    block: np.ndarray,
+    seed: int,
+    recording: np.ndarray | None,
+    names: Iterable[str] | None = None,
 ) -> dict[str, tuple[float | None, list[float] | None]]:
-    """Each of `MEASURES` of one side, or its difference between two, and the interval."""
+    """Each of `MEASURES`, or of some, of one side, or its difference between two, and the interval."""
     labels, row = np.unique(block, return_inverse=True)
     row = row.reshape(-1)
     sides = [[_of_blocks(matches, row, len(labels)) for matches in side] for side in sides]
@@ -298,7 +305,8 @@ def _with_intervals(
     filled = np.bincount(np.concatenate([*frames]), minlength=len(labels))  # a block may have false alarms alone
     stratum = None if recording is None else of_blocks(recording, block)
     found = {}
-    for name, measure in MEASURES.items():
+    for name in MEASURES if names is None else names:
+        measure = MEASURES[name]
         whole = float(np.subtract.reduce([measure(side, None)[0] for side in sides]))
         if np.isnan(whole):
             found[name] = None, None

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..clouds.commissioned import Hung
 from ..clouds.files import LIDARS, read_cloud
-from ..clouds.fit import accepted, detections_misfit, in_frame
+from ..clouds.fit import in_frame
 from ..clouds.points import READERS, read_points
 from ..clouds.rings import beam_phase, on_beams
 from ..clouds.scan import PointCloud
@@ -31,28 +31,14 @@ from ..sensors.imperfections import Imperfections
 from ..sensors.model import load_model, model_names
 from ..sensors.pose import Pose
 from ..toml_table import Setting, TomlTable
-from ..traffic.boxes import Boxes
+from ..traffic.boxes import Boxes, no_boxes
 from ..traffic.vehicles import CLASSES, Recording
 from .classical import ClassicalDetector
 from .dataset import VAL
 from .dataset_files import DATASET, SCANS, UNFINISHED, WHOLE, file_name, read_boxes, read_columns, read_json
-from .judge import (
-    Detector,
-    JudgedDetector,
-    boxes_from_file,
-    farthest_m,
-    is_ours,
-    judged_boxes,
-    measured_groups,
-    of_each,
-    range_image,
-    region_of_alarms,
-    weights_of,
-    within,
-)
+from .judge import Detector, Judge, is_ours, of_each, range_image, region_of_alarms, weights_of, within
 from .labels import frame_of
 from .pillars import PillarsDetector
-from .scores import CRITERIA, intervals
 
 Progress = Callable[[int], Callable[[int], object]]  # given how many clouds there are, what is called for those done
 
@@ -284,9 +270,14 @@ def detect_in_clouds(
 
 
 def judge_in_clouds(
-    found: FoundInClouds, labels: Recording, where: str, accept: Sequence[str] | None, empty: Sequence[int] = ()
+    found: FoundInClouds,
+    detector: str,
+    labels: Recording,
+    where: str,
+    accept: Sequence[str] | None,
+    empty: Sequence[int] = (),
 ) -> dict[str, object]:
-    """What was found in clouds, judged by labelled boxes, for a result file, as `judge.detection_result`.
+    """What a detector found in clouds, judged by labelled boxes: what `Judge.result` gives.
 
     Frames that have no boxes are left out. Boxes count where the detector looked, and there what is not labelled is a
     false alarm. For the intervals each frame is a block. `where` names the labels; frames of `empty` were labelled and
@@ -301,35 +292,16 @@ def judge_in_clouds(
     if not numbers:
         ends = f"{labels.frames[0]} to {labels.frames[-1]}, and the clouds {min(found.boxes)} to {max(found.boxes)}"
         raise InputError(f"--boxes: {where}: has the frames {ends}; allowed: boxes of frames of the clouds")
-    boxes, vehicles = (
-        [found.boxes[number] for number in numbers],
-        [
-            labels.at(number) if number in labels.frames else labels.at(int(labels.frames[0])).select(slice(0))
-            for number in numbers
-        ],
-    )
-    warnings = accepted(detections_misfit(boxes, vehicles), where, accept)
-    region = found.region
-    frames, xy = [replace(one, counted=region.holds(one)) for one in vehicles], tuple(found.pose.position[:2])
-    judged, notes = judged_boxes(boxes, frames, region, xy, None), [*found.notes, _UNLABELLED, _BY_FRAME]
+    vehicles = [labels.at(number) if number in labels.frames else no_boxes(number) for number in numbers]
+    frames = [replace(one, counted=found.region.holds(one)) for one in vehicles]
+    judge = Judge(frames, found.region, np.arange(len(numbers)), seed=1)
+    boxes, notes = [found.boxes[number] for number in numbers], [*found.notes, _UNLABELLED, _BY_FRAME]
     if left := len(found.boxes) - len(numbers):
         notes.append(f"{left} of the {len(found.boxes)} clouds have no boxes and are not judged")
-    ends = intervals(judged.matches, np.arange(len(numbers)), seed=1)
-    return {
-        "sensor": found.sensor,
-        "region": {
-            "low_m": found.low.tolist(),
-            "high_m": found.high.tolist(),
-            "between_y_m": list(map(list, found.spans)),
-        },
-        "criteria": [criterion.name for criterion in CRITERIA],
-        "frames": len(numbers),
-        "frame_ids": numbers,
-        "mountings": {"given": {**measured_groups(judged, farthest_m(judged)), "interval_90": ends}},
-        "warnings": warnings,
-        "notes": notes,
-        "versions": versions(""),
-    }
+    judged = judge.judged(boxes, tuple(found.pose.position[:2]), notes=notes, where=where, accept=accept)
+    looked = {"low_m": found.low.tolist(), "high_m": found.high.tolist(), "between_y_m": list(map(list, found.spans))}
+    about = {"sensor": found.sensor, "region": looked, "versions": versions("")}
+    return judge.result(detector, {"given": judged}, about)
 
 
 _UNLABELLED = "what is not labelled counts as a false alarm"
@@ -445,8 +417,10 @@ def read_dataset(folder: Path) -> StoredDataset:
 
 def judge_on_dataset(
     stored: StoredDataset, name: str, workers: int, progress: Progress, accept: Sequence[str] | None = None
-) -> JudgedDetector:
+) -> tuple[dict[str, object], Mapping[int, Boxes]]:
     """Judge a detector on the judging scans: PointPillars, or a file of detections by the numbers of the scans.
+
+    Returns what `Judge.result` gives, and what was found in each scan.
 
     Raises
     ------
@@ -454,22 +428,24 @@ def judge_on_dataset(
         For a file that cannot be read, lacks scans or does not fit unless that is in `accept`, a data set without NPZ
         clouds, and for the classical detector.
     """
-    numbers, notes, warnings = stored.judging.tolist(), [], []
+    numbers, notes, where = stored.judging.tolist(), [], "" if is_ours(name) else name
     frames, points = zip(*map(stored.boxes, numbers), strict=True)
-    returns = np.concatenate([of[frame.counted] for frame, of in zip(frames, points, strict=True)]) > 0.0
-    if is_ours(name):
-        boxes, notes = _detected(stored, name, workers, progress(len(numbers)))
+    recording, block = (stored.scans[key][stored.judging] for key in ("recording", "block"))
+    judge = Judge(frames, stored.region, block, stored.about["seed"], recording, stored.validates, numbers)
+    if where:
+        boxes = judge.read(name, stored.poses, f"scans{' of split val' * stored.validates} of the data set")
     else:
-        what = f"scans{' of split val' * stored.validates} of the data set"
-        boxes = boxes_from_file(name, stored.poses, numbers, what)
-        warnings = accepted(detections_misfit(boxes, frames), name, accept)
-    lidars = np.array([stored.poses[number].position[:2] for number in numbers])
-
+        boxes, notes = _detected(stored, name, workers, progress(len(numbers)))
     if not stored.validates:
         text = "the data set has no validation scans: all are used, though the detector may have been trained on them"
         notes = [text, *notes]
+    returns = np.concatenate([of[frame.counted] for frame, of in zip(frames, points, strict=True)]) > 0.0
+    lidars = np.array([stored.poses[number].position[:2] for number in numbers])
     with_return = float(returns.mean()) if len(returns) else None
-    return judged_boxes(boxes, frames, stored.region, lidars, with_return, notes, warnings)
+    judged = judge.judged(boxes, lidars, with_return, notes, where, accept)
+    about = {key: stored.about[key] for key in ("scene", "sensor", "region", "caster", "warnings", "versions")}
+    about |= {"dataset": stored.folder.resolve().name}
+    return judge.result(name, {"given": judged}, about), dict(zip(numbers, boxes, strict=True))
 
 
 def check_clouds(stored: StoredDataset, name: str) -> None:
@@ -512,29 +488,3 @@ def _gathered(notes: Sequence[Sequence[str]]) -> list[str]:
     for note in chain(*notes):
         alike.setdefault(re.sub(r"[0-9.]+", "", note), []).append(note)
     return [f"{some[0]} (the same or similar at {len(some)} of {len(notes)} mountings)" for some in alike.values()]
-
-
-def dataset_result(stored: StoredDataset, name: str, judged: JudgedDetector) -> dict[str, object]:
-    """What was found in the judging scans, for a result file, as `judge.detection_result`; `name` is the detector's."""
-    about = {key: stored.about[key] for key in ("scene", "sensor", "region", "caster")}
-    frame, recording, block = (stored.scans[key][stored.judging] for key in ("frame", "recording", "block"))
-    return {
-        "dataset": stored.folder.resolve().name,
-        **about,
-        "criteria": [criterion.name for criterion in CRITERIA],
-        "detector": name,
-        "scans": len(stored.judging),
-        "scan_ids": stored.judging.tolist(),
-        "frames": len(np.unique(frame)),
-        "held_out": stored.validates,
-        "blocks": len(np.unique(block)),
-        "mountings": {
-            "given": {
-                **measured_groups(judged, farthest_m(judged)),
-                "interval_90": intervals(judged.matches, block, stored.about["seed"], recording),
-            }
-        },
-        "warnings": [*stored.about["warnings"], *judged.warnings],
-        "notes": list(judged.notes),
-        "versions": stored.about["versions"],
-    }

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..clouds.scan import PointCloud, joined_clouds
-from ..detection.judge import JudgedDetector, clouds_at, judging_frames, region_of_alarms, sensor_at
+from ..detection.judge import JudgedDetector, clouds_at, sensor_at, site_judge
 from ..detection.scores import CONFIDENCES, CRITERIA, meetings
 from ..run.folder import RunFolder
 from ..run.optimise import sensors_text
@@ -200,18 +200,19 @@ def draw_detections(
     layouts: Mapping[str, Layout],
 ) -> None:
     """Draw what a detector finds in the judging frame with the median number of vehicles, at the baseline and given."""
-    frames, _, _ = judging_frames(site)
+    judge = site_judge(site)
+    frames = judge.frames
     number = int(np.argsort([frame.counted.sum() for frame in frames], kind="stable")[len(frames) // 2])
     frame, sure = frames[number], []
     for name in filter(judged.get, ("baseline", "given")):  # what parts of a layout find is in the table
         boxes = judged[name].boxes[number].select(judged[name].boxes[number].confidence >= _SURE)
         each = enumerate(layouts[name])
         cloud = joined_clouds([clouds_at(site.with_lidar(number), one)(frame) for number, one in each])
-        met = meetings(boxes, frame, region_of_alarms(site.region), CRITERIA[0])
+        met = meetings(boxes, frame, judge.region, CRITERIA[0])
         called = "Late fusion" if name == "given" and site.scenario.is_layout else name.capitalize()
         sure.append(Found(called, layouts[name], cloud, boxes, *met))
     title = f"{sensors_text(site)}: what the detector {Path(detector).stem} finds in frame {frame.frame}"
-    of_frames = f"{len(frames)} {'held-out' if len(site.holdout) else 'searched'} frames"
+    of_frames = f"{len(frames)} {'held-out' if judge.held_out else 'searched'} frames"
     rule = f"confidence {_SURE:g} or more, hits within {CRITERIA[0].most_m:g} m"
     subtitle = f"{frame.counted.sum()} vehicles, the median of {of_frames}; {rule}"
     leaning, road = site.scenario.lidars[0].deployment.places[0].leans, site.scenario.road_map

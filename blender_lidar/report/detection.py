@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ..document import Table
+from ..document import Quantity, Table, adding_up
+from ..run.quantities import points, share
 
 _ROWS = {
     "recall_0.1": "recall at confidence 0.1",
@@ -24,24 +25,33 @@ _TABLED = {  # of groups
 
 
 def detection_text(result: Mapping) -> str:
-    """How many vehicles are found at the mounting, beside the baseline where that was judged too."""
-    given = result["mountings"]["given"]
+    """How many vehicles are found at the mounting, beside the baseline where that was judged, and how sure that is."""
+    given, baseline = result["mountings"]["given"], result["mountings"].get("baseline")
     if given["recall_0.3"] is None:
         return "No vehicle counts in these frames."
-    said = f"At confidence 0.3 the detector finds {_percent(given['recall_0.3'])} % of the vehicles"
-    if "baseline" in result["mountings"]:
-        said += f" instead of {_percent(result['mountings']['baseline']['recall_0.3'])} % under the baseline"
-        over = given.get("over_baseline", {}).get("recall_0.3")
-        said += ", {} points ({})".format(*_difference(over)) if over and over["interval_90"] else ""
+    recall, said = _sure(given, "recall_0.3"), "At confidence 0.3 the detector finds"
+    if baseline is None:
+        said += f" {recall} of the vehicles"
+    else:
+        over = given["over_baseline"]["recall_0.3"]
+        gain = points("recall_gain", "gain in recall", over["difference"], over["interval_90"])
+        before, recall, gain = adding_up(_sure(baseline, "recall_0.3"), recall, gain)
+        unsure = "; no interval" if gain.interval_90 is None else "; not shown" if gain.holds_nought else ""
+        said += f" {recall} of the vehicles instead of {before} under the baseline: {gain}{unsure}"
     if given["precision_0.3"] is not None:
-        said += f", and {_percent(given['precision_0.3'])} % of what it finds are vehicles"
+        said += f", and {_sure(given, 'precision_0.3')} of what it finds are vehicles"
     if given["with_return"] is not None:
         said += f"; {_percent(given['with_return'])} % have a return at all"
     if "detectable_share" in result:
         said += f", and the fused points make {_percent(result['detectable_share'])} % detectable"
-    empty = given.get("without_boxes", 0)
+    empty = given["without_boxes"]
     scenes = f"{result['scans']} scans" if "scans" in result else f"{result['frames']} frames"
     return said + (f"; {empty} of the {scenes} have no detection." if empty else ".")
+
+
+def _sure(scores: Mapping, key: str) -> Quantity:
+    """A share with its interval."""
+    return share(key, _ROWS[key], scores[key], scores["interval_90"][key])
 
 
 def detection_table(result: Mapping) -> Table:

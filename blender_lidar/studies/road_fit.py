@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..detection.l_shape import LShape, l_shape_heading
 from ..errors import InputError
 from ..sensors.pose import Pose, tilts_of
 from .road_surface import (
@@ -185,10 +186,7 @@ _MEDIAN_M = 12.0  # between vehicles: what stands farther aside is none
 
 
 def _standing(level: np.ndarray) -> _Seen:
-    """Vehicles and rails among levelled points (n, 3), as clusters of cells with L-shapes fitted to them.
-
-    The closeness criterion of Zhang et al. (IV 2017).
-    """
+    """Vehicles and rails among levelled points (n, 3), as clusters of cells with L-shapes fitted to them."""
     from scipy import ndimage
 
     reach = np.hypot(level[:, 0], level[:, 1])
@@ -202,26 +200,17 @@ def _standing(level: np.ndarray) -> _Seen:
         owner = ndimage.label(filled, np.ones((3, 3)))[0][tuple(cell.T)]
         order = np.argsort(owner, kind="stable")
         ends = np.flatnonzero(np.diff(owner[order])) + 1
-        found = [_l_shape(some[rows, :2]) for rows in np.split(order, ends) if len(rows) >= _FEWEST_OF_ONE]
+        found = [_standing_one(some[rows, :2]) for rows in np.split(order, ends) if len(rows) >= _FEWEST_OF_ONE]
     rows = np.array([one for one in found if one[1] >= _LENGTHS_M[0]]).reshape(-1, 6)
     return _Seen(rows[:, 0], rows[:, 1], rows[:, 2:6], rows[:, 1] >= _RAIL_M)
 
 
-def _l_shape(xy: np.ndarray) -> tuple[float, ...]:
+def _standing_one(xy: np.ndarray) -> tuple[float, ...]:
     """Heading of the longer side [rad], its length [m], and the least and greatest x and y of a cluster (n, 2)."""
-    some = xy[:: len(xy) // 300 + 1]
-    turns = np.arange(0.0, 90.0, 1.0)
-    for finer in (1.0, 0.1):
-        turn = np.radians(turns)[:, None]
-        along, across = (np.cos(turn + by) * some[:, 0] + np.sin(turn + by) * some[:, 1] for by in (0.0, 0.5 * math.pi))
-        edges = [
-            np.minimum(one - one.min(1, keepdims=True), one.max(1, keepdims=True) - one) for one in (along, across)
-        ]
-        best = int((1.0 / np.maximum(np.minimum(*edges), 0.05)).sum(axis=1).argmax())
-        turns = turns[best] + np.arange(-1.0, 1.05, 0.1) if finer == 1.0 else turns
-    lengths = np.ptp(along[best]), np.ptp(across[best])
-    heading = float(turn[best, 0]) + (0.5 * math.pi if lengths[1] > lengths[0] else 0.0)
-    return heading % math.pi, float(max(lengths)), *xy.min(axis=0), *xy.max(axis=0)
+    shape = LShape.about(xy, l_shape_heading(xy))
+    along, across = shape.seen.tolist()
+    turned = shape.heading + (0.5 * math.pi if across > along else 0.0)
+    return turned % math.pi, max(along, across), *xy.min(axis=0), *xy.max(axis=0)
 
 
 def _direction(still: _Seen, each: Sequence[_Seen]) -> tuple[Estimate | None, str]:

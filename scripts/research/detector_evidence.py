@@ -22,13 +22,11 @@ from arguments import SCENES, counting, parser_of, positive, run_script
 from blender_lidar.detection.judge import (
     DETECTORS,
     JudgedDetector,
-    detection_result,
     detector_at,
     judge_detectors,
-    judging_frames,
     sensor_at,
+    site_judge,
 )
-from blender_lidar.detection.scores import paired_intervals
 from blender_lidar.document import Table
 from blender_lidar.files import make_folder, write_text
 from blender_lidar.report.figure import BASELINE_LOOK, OPTIMISED_LOOK, sheet
@@ -102,12 +100,6 @@ def _judged(site: Site, mounts: Mapping[str, Mounting], detector: str, advance) 
     return judged
 
 
-def _paired(site: Site, one: JudgedDetector, other: JudgedDetector) -> dict:
-    """How much better one is than another in the same frames, with paired intervals."""
-    _, block, recording = judging_frames(site)
-    return paired_intervals(one.matches, other.matches, block, site.scenario.search.seed, recording)
-
-
 def _of_paper(low: float, low_better: float, high: float, high_better: float) -> str:
     return (
         f"recall at 0.1 {100 * low:.0f} to {100 * low_better:.0f}, at 0.3 {100 * high:.0f} to {100 * high_better:.0f}"
@@ -120,14 +112,14 @@ def _table_3(args) -> Iterator[dict]:
         for world, options in (("clean", {}), ("hard", hard_world())):
             for sensor in CHOSEN:
                 site = _site(args, sensor, options)
-                first = None
+                judge, first = site_judge(site), None
                 for detector in args.detectors:
                     judged = _judged(site, _mounts(site, sensor), detector, advance)
                     first = first or judged["given"]
                     row = {"title": f"{world}, {sensor}, {Path(detector).stem}", "world": world, "sensor": sensor}
-                    row |= {"detector": detector, "result": detection_result(site, detector, judged)}
+                    row |= {"detector": detector, "result": judge.result(detector, judged, {})}
                     better = row["result"]["mountings"]["given"]["over_baseline"]
-                    rival = _paired(site, first, judged["given"]) if judged["given"] is not first else None
+                    rival = judge.over(first, judged["given"]) if judged["given"] is not first else None
                     yield row | {"than baseline": better, f"{args.detectors[0]} than this": rival}
 
 
@@ -144,14 +136,15 @@ def _ablation(args) -> Iterator[dict]:
     with counting(len(worlds) * len(args.detectors), "worlds") as advance:
         for name, options in worlds.items():
             site = _site(args, "RS-16", options)
+            judge = site_judge(site)
             mount = {"given": _mounts(site, "RS-16")["given"]}
             for detector in args.detectors:
                 judged = _judged(site, mount, detector, advance)
                 if name in ("clean", "hard"):
                     rival[detector] = judged["given"]
                 against = "clean" if name.endswith("alone") or name == "clean" else "hard"
-                row = {"title": f"{name}, {Path(detector).stem}", "result": detection_result(site, detector, judged)}
-                yield row | {f"than {against}": _paired(site, judged["given"], rival[detector])}
+                row = {"title": f"{name}, {Path(detector).stem}", "result": judge.result(detector, judged, {})}
+                yield row | {f"than {against}": judge.over(judged["given"], rival[detector])}
 
 
 def _speed(args) -> None:
