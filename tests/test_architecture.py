@@ -86,6 +86,7 @@ FLOOR = {
     "statistics",
     "plugins",
     "rigid",
+    "document",
     "toml_table",
 }
 ROOMS = {
