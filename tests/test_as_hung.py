@@ -14,7 +14,7 @@ from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.report.text import short_lines
 from blender_lidar.run.answer import doubt
-from blender_lidar.run.as_hung import JUDGED_BASE
+from blender_lidar.run.as_hung import JUDGED_BASE, HungScores, judge_as_hung
 from blender_lidar.run.comparison import Comparison
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import evaluate_site, optimise_site
@@ -218,6 +218,24 @@ def test_a_share_near_a_hundred_percent_has_as_wide_an_interval_with_a_few_insta
     low, high = share_gain_interval_90(np.ones(340), hits, vehicle, vehicle // 20, 1)
     assert -0.015 < low < -0.008
     assert 0.008 < high < 0.015
+
+
+def test_two_wheelers_are_told_alone_where_there_are_any():
+    kinds = np.array(["car", "motorcycle", "bicycle", "car"] * 5)
+    table = {"frame": np.zeros(20), "vehicle_id": np.arange(20), "objective": np.zeros(20), "class": kinds}
+    table["detectable"] = np.ones(20, dtype=bool)
+    boxes = Comparison(table, table, np.arange(20) % 5, np.zeros(20, dtype=int), None, 1)
+    seen = np.stack([kinds != "bicycle", kinds == "car"]).astype(float)  # under two errors
+    scores = HungScores(0.0 * seen, seen, seen, seen)
+    _, found = judge_as_hung(boxes, scores, scores)
+    assert (found["two_wheelers"]["after"], found["two_wheelers"]["boxes"]) == (0.25, 10)
+    table["class"] = np.full(20, "car")
+    assert (
+        judge_as_hung(Comparison(table, table, boxes.block, boxes.recording, None, 1), scores, scores)[1][
+            "two_wheelers"
+        ]
+        is None
+    )
 
 
 def test_what_nine_of_ten_reach_needs_as_many_vehicles_as_an_interval():

@@ -32,7 +32,7 @@ from ..names import THE_LIDAR
 from ..scene.mounting import COORDINATE_NAMES, LEANS
 from ..statistics import FEW_BLOCKS, FEW_VEHICLES
 from ..traffic.vehicles import counted
-from .quantities import amount, group_shares, judged, points, quantities, run_tables, share
+from .quantities import FEW_BOXES, amount, group_shares, judged, points, quantities, run_tables, share
 from .vehicle_table import APPROACH
 from .what_if import ON_A_BOUND, OTHER_HEIGHTS
 from .words import (
@@ -234,6 +234,7 @@ def _cautions(result: Mapping) -> Iterator[Statement]:
         yield from _sentences(CAUTION, poles_text(result), first=True)
         yield from _sentences(NOTE, *(of_name(name, optimum_text(one)) for name, one in each), first=True)
     yield from _worst_groups(result)
+    yield from _two_wheelers(result)
     yield from _sentences(NOTE, worst_recording(result), first=True)
 
 
@@ -423,6 +424,17 @@ def _worst_groups(result: Mapping) -> Iterator[Statement]:
         planned = " (exactly as planned)" if errors_text(result) else ""
         text = ", ".join(f"{_safe(one.label)} {{{key}}}" for key, one in told.items())
         yield statement(NOTE, f"Seen worst{planned}: {text}.", first=True, **told)
+
+
+def _two_wheelers(result: Mapping) -> Iterator[Statement]:
+    """What is detectable of motorcycles and bicycles, as hung; of ten boxes or more."""
+    found = judged(result)[0]["as_hung"]["two_wheelers"]
+    if found is None or found["boxes"] < FEW_BOXES:
+        return
+    basis = judged(result)[2]._replace(boxes=found["boxes"], vehicles=found["distinct_vehicles"])
+    told = share("two_wheelers", "two-wheelers detectable", found["after"], found["after_interval_90"], basis)
+    boxes, hung = counted(basis.boxes, "box"), ", as hung" * bool(errors_text(result))
+    yield statement(NOTE, f"Of two-wheelers ({boxes}) {{told}} are detectable{hung}.", first=True, told=told)
 
 
 def poles_text(result: Mapping) -> str:
