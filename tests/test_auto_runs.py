@@ -87,7 +87,7 @@ def test_no_map_is_drawn_and_nothing_is_said_of_one(finished, capsys):
     assert result_of(folder)["map"] is None
     assert not (folder / "score_map.csv").exists()
     assert "No point of" not in out
-    assert "No grid was scored" in " ".join(out.split())
+    assert "no grid has checked the search" in " ".join(out.split())
 
 
 def test_two_workers_come_to_the_same_as_one(tmp_path, finished, capsys):

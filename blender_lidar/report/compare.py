@@ -91,7 +91,7 @@ def draw_comparison(path: Path, table: Mapping[str, np.ndarray], result: Mapping
     path : Path
         The PNG to write.
     table : mapping of str to ndarray
-        As `studies.compare.Comparison` has it.
+        As `studies.compare.CloudComparison` has it.
     result : mapping
         As `compare.json` has it.
 

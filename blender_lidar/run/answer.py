@@ -32,7 +32,7 @@ from ..names import THE_LIDAR
 from ..scene.mounting import COORDINATE_NAMES, LEANS
 from ..statistics import FEW_BLOCKS, FEW_VEHICLES
 from ..traffic.vehicles import counted
-from .quantities import FEW_BOXES, amount, group_shares, judged, points, quantities, run_tables, share
+from .quantities import TOLD_BOXES, amount, group_shares, judged, points, quantities, run_tables, share
 from .vehicle_table import APPROACH
 from .what_if import ON_A_BOUND, OTHER_HEIGHTS
 from .words import (
@@ -318,7 +318,13 @@ _SMALL_SHORTFALL = 0.01  # what a search may miss before more of it is advised
 
 
 def _missed(one: Mapping) -> Iterator[str]:
-    """What the score map says that the search of a LiDAR has missed."""
+    """What the score map says that the search of a LiDAR has missed, or that there is none to say it."""
+    if stages := one.get("rungs"):
+        screened = sum(stage["candidates"] for stage in stages) - one["evaluations"]
+        yield (
+            f"{screened:,} mountings were screened on few frames and beams, {one['evaluations']:,} scored on all "
+            "(fidelity auto); no grid has checked the search, as with --fidelity full"
+        )
     if not (score_map := one["map"]):
         return
     shortfall, best, regret = (score_map.get(key) for key in ("search_shortfall", "best", "holdout_regret"))
@@ -429,7 +435,7 @@ def _worst_groups(result: Mapping) -> Iterator[Statement]:
 def _two_wheelers(result: Mapping) -> Iterator[Statement]:
     """What is detectable of motorcycles and bicycles, as hung; of ten boxes or more."""
     found = judged(result)[0]["as_hung"]["two_wheelers"]
-    if found is None or found["boxes"] < FEW_BOXES:
+    if found is None or found["boxes"] < TOLD_BOXES:
         return
     basis = judged(result)[2]._replace(boxes=found["boxes"], vehicles=found["distinct_vehicles"])
     told = share("two_wheelers", "two-wheelers detectable", found["after"], found["after_interval_90"], basis)
@@ -505,12 +511,6 @@ def _notes(result: Mapping) -> Iterator[Statement]:
 
 def _checked(one: Mapping) -> Iterator[str]:
     """What checked the search of a LiDAR."""
-    if stages := one.get("rungs"):
-        screened = sum(stage["candidates"] for stage in stages) - one["evaluations"]
-        yield (
-            f"{screened:,} mountings were screened on few frames and beams, {one['evaluations']:,} scored on all "
-            "(fidelity auto); no grid has checked the search, as with --fidelity full"
-        )
     if not (score_map := one["map"]):
         return
     shortfall = score_map["search_shortfall"]

@@ -206,7 +206,7 @@ def _hung_scores(result: Mapping, before: Mapping, after: Mapping) -> list[tuple
     return [*rows, (f"objective{metric.per_vehicle or ', mean'}", *values, gain)]
 
 
-FEW_BOXES = 10  # fewer are counts, and in one row together
+TOLD_BOXES = 10  # fewer are counts, and in one row together
 
 
 def _groups(result: Mapping) -> Iterator[Table]:
@@ -219,7 +219,7 @@ def _groups(result: Mapping) -> Iterator[Table]:
     columns += ("objective: before", "objective: after")
     for by in dict.fromkeys(group["by"] for group in result["groups"]):
         groups = [group for group in result["groups"] if group["by"] == by]
-        few = [group for group in groups if group["boxes"] < FEW_BOXES]
+        few = [group for group in groups if group["boxes"] < TOLD_BOXES]
         rows = [_group_row(group, metric) for group in groups if group not in few]
         if len(few) > 1 and rows:
             rows.append(_counted_row("others", few))

@@ -253,7 +253,7 @@ def distance_m(boxes: LabelledBoxes, pose: Pose) -> np.ndarray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class CloudComparison:
     """Every chosen vehicle of every cloud, real and simulated.
 
     Attributes
@@ -275,7 +275,7 @@ class Comparison:
 
 def compare_frames(
     frames: Iterable[RecordedFrame], lattice: BeamLattice, setup: Setup, report: Callable[[], None] = lambda: None
-) -> Comparison:
+) -> CloudComparison:
     """Pair every chosen vehicle of recorded clouds with its simulation.
 
     Parameters
@@ -317,7 +317,7 @@ def compare_frames(
     table = {name: np.concatenate([one[name] for one in parts]) for name in parts[0]}
     table["error_bits"] = table["simulated_entropy_bits"] - table["real_entropy_bits"]
     spread, shares = np.median(facts, axis=0).tolist()
-    return Comparison(table, {"off_ring_m": spread, "share_on_rings": shares}, dict(left_out))
+    return CloudComparison(table, {"off_ring_m": spread, "share_on_rings": shares}, dict(left_out))
 
 
 def _nothing_to_compare(setup: Setup, left_out: Mapping[str, int], labels: set[str]) -> InputError:
@@ -345,7 +345,7 @@ def chosen(boxes: LabelledBoxes, setup: Setup, left_out: Counter) -> np.ndarray:
 
 
 def aggregate(table: Mapping[str, np.ndarray]) -> dict:
-    """Errors of each variant, over all vehicles and by distance, ready for JSON; `table` as in `Comparison`.
+    """Errors of each variant, over all vehicles and by distance, ready for JSON; `table` as in `CloudComparison`.
 
     A variant is a level of detail with some losses.
 
