@@ -7,7 +7,7 @@ nothing. The twin of `toml_table.Setting`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -108,8 +108,14 @@ class Quantity:
 
 
 def adding_up(before: Quantity, after: Quantity, gain: Quantity) -> tuple[Quantity, Quantity, Quantity]:
-    """Before, after and their difference with the same digits, so that the difference is that of what is written."""
-    digits = min(one.digits for one in (before, after, gain))
+    """Before, after and their difference with the same digits, so that the difference is that of what is written.
+
+    A difference that is known to more digits than both, as of nearly equal mountings, is written by its own.
+    """
+    digits = min(before.digits, after.digits)
+    if gain.digits > digits:
+        return before, after, gain
+    digits = min(digits, gain.digits)
     first, last = round(before.value, digits), round(after.value, digits)
     shown = first, last, last - first
     return tuple(
@@ -269,8 +275,3 @@ def listed(texts: Iterable[str]) -> str:
 def as_sentence(text: str) -> str:
     """A text that begins with a capital letter and ends with a full stop, if with no question mark."""
     return f"{text[0].upper()}{text[1:]}{'' if text.endswith(('?', '.')) else '.'}"
-
-
-def quantities_of(statements: Sequence[Statement]) -> dict[str, Quantity]:
-    """All quantities of statements by their keys."""
-    return {one.key: one for each in statements for one in each.quantities}

@@ -14,7 +14,7 @@ from blender_lidar.cli import main
 from blender_lidar.errors import InputError
 from blender_lidar.report.text import short_lines
 from blender_lidar.run.answer import doubt
-from blender_lidar.run.as_hung import JUDGED_BASE, HungScores, judge_as_hung
+from blender_lidar.run.as_hung import JUDGED_BASE, HungScores, two_wheelers_as_hung
 from blender_lidar.run.comparison import Comparison
 from blender_lidar.run.folder import RunFolder
 from blender_lidar.run.optimise import evaluate_site, optimise_site
@@ -227,15 +227,11 @@ def test_two_wheelers_are_told_alone_where_there_are_any():
     boxes = Comparison(table, table, np.arange(20) % 5, np.zeros(20, dtype=int), None, 1)
     seen = np.stack([kinds != "bicycle", kinds == "car"]).astype(float)  # under two errors
     scores = HungScores(0.0 * seen, seen, seen, seen)
-    _, found = judge_as_hung(boxes, scores, scores)
-    assert (found["two_wheelers"]["after"], found["two_wheelers"]["boxes"]) == (0.25, 10)
+    found = two_wheelers_as_hung(boxes, scores, scores)
+    assert (found["after"], found["boxes"]) == (0.25, 10)
     table["class"] = np.full(20, "car")
-    assert (
-        judge_as_hung(Comparison(table, table, boxes.block, boxes.recording, None, 1), scores, scores)[1][
-            "two_wheelers"
-        ]
-        is None
-    )
+    none = Comparison(table, table, boxes.block, boxes.recording, None, 1)
+    assert two_wheelers_as_hung(none, scores, scores) is None
 
 
 def test_what_nine_of_ten_reach_needs_as_many_vehicles_as_an_interval():

@@ -29,7 +29,7 @@ from ..casting import BVH, resolve
 from ..casting.instances import OwnBodies
 from ..commands.background import heard
 from ..compiled import within_blender
-from ..document import document_from
+from ..document import ANSWER, document_from
 from ..errors import InputError
 from ..report.text import short_lines
 from ..run.folder import RESULT
@@ -256,11 +256,9 @@ def begin(scene, layer: bpy.types.ViewLayer, lidar: bpy.types.Object, *, alone: 
 
 def keep_result(hung: Sequence[bpy.types.Object], job: Optimisation) -> None:
     """Keep with each LiDAR of a layout what its optimisation has found."""
-    found = {
-        "holdout": job.result["holdout"],
-        "lines": short_lines(document_from(job.result["document"])),
-        "places": {},
-    }
+    told = document_from(job.result["document"])
+    answer = told.of(ANSWER)[0].text
+    found = {"holdout": job.result["holdout"], "lines": short_lines(told), "answer": answer, "places": {}}
     found |= job.keep(hung[0].name if len(hung) == 1 else "layout")
     for one, row in zip(hung, job.result["lidars"], strict=True):
         before = properties.mounting_of(one).as_table()
@@ -351,7 +349,7 @@ class BLENDER_LIDAR_OT_optimize(operators.NeedsLidar, bpy.types.Operator):
         keep_result(hung, job)
         bpy.ops.ed.undo_push(message="Optimize LiDAR")
         kept = "beside this file once it is saved" if runs_folder() is None else f"in {job.folder}"
-        self.report({"INFO"}, f"{found_lines(hung[0])[0]}; its report is kept {kept}")
+        self.report({"INFO"}, f"{found_of(hung[0])['answer']}; its report is kept {kept}")
         return {"FINISHED"}
 
 

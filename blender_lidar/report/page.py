@@ -22,7 +22,7 @@ from ..toml_table import read_toml
 from ..traffic.vehicles import RepairReport, counted
 from .detection import detection_table, detection_text
 from .html import Markup, element, image, joined, sheet_markup, table, terms
-from .text import columns_of, labelled
+from .text import columns_of
 
 # --- The page's tables ------------------------------------------------------------------------------------------------
 
@@ -54,7 +54,7 @@ def _heading_cell(text: str, columns: int) -> Markup:
 
 def _number(text: str) -> Markup:
     """A cell of a number, with a minus as wide as a plus; a group without vehicles has none."""
-    return element("td", _NONE if text == "-" else minus(text))
+    return element("td", _NONE if text in ("", "-") else minus(text))
 
 
 def minus(text: str) -> str:
@@ -278,7 +278,7 @@ def _notes(run: RunFolder):
     read = RepairReport(**{field.name: read[field.name] for field in fields(RepairReport) if field.name in read})
     lists = {
         "": [minus(one.text) for one in (*told.of(CAUTION), *told.of(NOTE))],
-        "Assumed": [labelled(one) for one in told.of(ASSUMED)],
+        "Assumed": [one.text for one in told.of(ASSUMED)],
         "Traffic as read": read.lines(),
     }
     parts = [

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
-from ..run.answer import known_groups
 from ..run.folder import RunFolder, of_lidar
 from ..run.quantities import judged
 from ..run.vehicle_table import APPROACH, METRIC_VALUE, MOVEMENT, WEIGHT
@@ -280,6 +279,12 @@ def plot_steps(path: str | Path, result: Mapping) -> None:
             axes.grid(visible=True)
 
 
+def _known_groups(mix: Mapping) -> dict[str, float]:
+    """The detectable share of each approach, or else lane, of other traffic that has vehicles enough for one."""
+    groups = (mix.get("by_approach") or mix["by_lane"]).items()
+    return {name: one["detectable_share"] for name, one in groups if one["distinct_vehicles"] >= FEW_VEHICLES}
+
+
 def plot_other_traffic(path: str | Path, result: Mapping) -> None:
     """Draw the detectable share under other traffic with its interval, and of each lane or approach."""
     from matplotlib.lines import Line2D
@@ -295,7 +300,7 @@ def plot_other_traffic(path: str | Path, result: Mapping) -> None:
         axes = figure.subplots()
         for at, row in enumerate(rows):
             share, ends = 100.0 * row["detectable_share"], row["interval_90"]
-            groups = known_groups(row)
+            groups = _known_groups(row)
             shares = [100.0 * one for one in groups.values()]
             axes.plot(shares, [at] * len(shares), zorder=2, **group_look)
             if ends:

@@ -10,6 +10,7 @@ from ..document import ANSWER, ASSUMED, CAUTION, DOUBT, MEANING, NOTE, Document,
 
 WIDTH = 120  # of texts for a terminal
 _NARROWEST = 40  # of a table's last column, which is wrapped
+_SHORT = 110  # of what was assumed, among the first lines
 _MARK = {DOUBT: "! ", CAUTION: "! ", NOTE: "  "}
 
 
@@ -37,17 +38,14 @@ def _to_know(document: Document, every: bool) -> Iterator[str]:
         yield "Before you act"
     for one in found:
         yield from _wrapped(f"  {_MARK[one.kind]}", one.text)
-    if every:
-        for one in assumed:
-            yield from _wrapped("    ", labelled(one, "assumed: "))
-    elif assumed:
-        labels = (f"{one.label[0].lower()}{one.label[1:]}" for one in assumed)
-        yield from _wrapped("    ", f"Assumed: {'; '.join(labels)}.")
+    for one in assumed:
+        text = f"Assumed: {one.text}"
+        yield from _wrapped("    ", text if every else textwrap.shorten(text, _SHORT, placeholder=" ..."))
 
 
-def labelled(one: Statement, before: str = "") -> str:
-    """A statement behind its label, which may say all."""
-    return f"{before}{one.text if one.text == f'{one.label}.' else f'{one.label}: {one.text}'}"
+def labelled(one: Statement) -> str:
+    """A statement behind its label, if it has one."""
+    return f"{one.label}: {one.text}" if one.label else one.text
 
 
 def _meanings(document: Document, every: bool) -> list[str]:
@@ -66,9 +64,8 @@ def _wrapped(indent: str, text: str) -> list[str]:
 
 
 def short_lines(document: Document) -> list[str]:
-    """What is told first, a line each, for a panel: doubts, the answer, cautions."""
-    found = document.of(DOUBT, ANSWER, CAUTION, first=True)
-    return [labelled(one) if one.label else one.text for one in found]
+    """What is told first, for a panel: doubts, the answer, cautions, and what brackets hold."""
+    return [*map(labelled, document.of(DOUBT, ANSWER, CAUTION, first=True)), "In brackets 90 % intervals."]
 
 
 def filled(sentences: Iterable[str]) -> str:

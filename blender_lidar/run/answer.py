@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 from ..document import (
     ANSWER,
@@ -40,14 +41,15 @@ from .words import (
     definitions,
     each_lidar,
     errors_text,
+    frames_word,
     is_weighted,
     layout_frames,
     leans,
-    mounting_text,
     of_name,
     place_text,
     region_text,
     sensor_text,
+    warnings_text,
     was_searched,
 )
 
@@ -77,7 +79,8 @@ def _title(result: Mapping) -> str:
     searched = f"{'searched' if was_searched(result) else 'scored'} on {counted(result['frames'], 'frame')}"
     on = f"{counted(basis.boxes, 'box')} of {counted(basis.vehicles, 'vehicle')}"
     blocks = f", {counted(basis.blocks, 'block')} of time" if basis.blocks else ""
-    text = f"{sensor_text(result)} at {result['site']}: {searched}"
+    sensor = result["sensor"] if result.get("layout") else sensor_text(result)
+    text = f"{sensor} at {result['site']}: {searched}"
     if basis.split == HELD_OUT:
         return f"{text}, judged on {basis.boxes:,} held-out boxes (of {counted(basis.vehicles, 'vehicle')}{blocks})"
     if basis.split == LEFT_OUT:
@@ -87,8 +90,7 @@ def _title(result: Mapping) -> str:
 
 def _doubts(result: Mapping) -> list[str]:
     """What cannot be true of the traffic and was accepted, and why the advice to hang it there is not carried."""
-    found = [f"Accepted ({one['name']}): {one['text']}" for one in result["warnings"]]
-    return [*found, *filter(None, [doubt(result) if was_searched(result) else ""])]
+    return [*warnings_text(result), *filter(None, [doubt(result) if was_searched(result) else ""])]
 
 
 def doubt(result: Mapping) -> str:
@@ -125,7 +127,7 @@ def better_than_baseline(result: Mapping) -> bool:
 
 
 def _answers(result: Mapping) -> Iterator[Statement]:
-    each, told, found = each_lidar(result), quantities(result), judged(result)[0]
+    each, told = each_lidar(result), quantities(result)
     metric, hung = metric_named(result["metric"]), ", as hung" if errors_text(result) else ""
     what = "Mounting" if not was_searched(result) else "Best found" if doubt(result) else "Hang it"
     for name, one in each.items():
@@ -138,7 +140,7 @@ def _answers(result: Mapping) -> Iterator[Statement]:
     if not metric.of_share or is_weighted(result):
         gains["objective"] = told["objective"]
     texts = {"points": "{points}", "objective": f"{told['objective'].label.removeprefix('gain in the ')} {{objective}}"}
-    shown = (f"{texts[key]}{', not shown' if one.holds_nought else ''}" for key, one in gains.items())
+    shown = (f"{texts[key]}{_unsure(one)}" for key, one in gains.items())
     yield statement(ANSWER, "; ".join(shown), "Gain", first=True, **gains)
     if hung:
         low = "nine of ten installations reach {low}; " if "low" in told else ""
@@ -152,8 +154,9 @@ def _answers(result: Mapping) -> Iterator[Statement]:
         text = f"x {at['x_m']:.2f} m, y {at['y_m']:.2f} m ({at['frame']}); the mast faces bearing "
         text += f"{at['facing_bearing_deg']:.0f}°, clockwise from +y"
         yield statement(ANSWER, _safe(text), of_name(name, "Stands at") if not name else f"Stands, {name}", first=True)
-    if found is not result and (groups := _by_approach(result)):
-        yield statement(ANSWER, ", ".join(groups), "By approach", **groups_quantities(result, APPROACH))
+    if not judged(result)[2].chosen_here and (groups := _by_approach(result)):
+        planned = " (exactly as planned)" if hung else ""
+        yield statement(ANSWER, ", ".join(groups) + planned, "By approach", **groups_quantities(result, APPROACH))
 
 
 def _place(result: Mapping, one: Mapping, name: str) -> str:
@@ -169,8 +172,10 @@ def _baseline(result: Mapping) -> str:
     each = each_lidar(result)
     if len(each) > 1:
         return f"{len(each)} LiDARs"
-    mount = result["baseline"]["deployment"]
-    return mounting_text(mount, leans=leans(result)).removeprefix("height ").replace("tilt 0.0°", "level")
+    mounts = result["baseline"]["deployment"], result["deployment"]
+    away_m = math.hypot(*(mounts[0][key] - mounts[1][key] for key in ("x_m", "y_m")))
+    place = place_text(mounts[0], leans=leans(result), pointing={"leans": None}).replace(" above the road", "", 1)
+    return f"{place}, {away_m:.0f} m away" if away_m >= 0.5 else place
 
 
 def _no_interval(result: Mapping) -> str:
@@ -195,15 +200,14 @@ def _over_single(result: Mapping) -> Iterator[Statement]:
     if was_searched(result) and all(one["bounds"] is None for one in result["lidars"] if one["name"] in first):
         what = "what hung already"
     told = {"points": points("over_single", f"over {what}", gain["share_gain"], gain["share_gain_interval_90"])}
-    text = "{points} detectable"
-    if not metric.of_share:
+    text = f"{{points}} detectable{_unsure(told['points'])}"
+    if not metric.of_share or is_weighted(result):
         ends = gain["objective_gain"], gain["interval_90"]
         told["objective"] = amount(metric, "objective_over_single", f"over {what}", *ends, signed=True)
-        text += f", {{objective}}{metric.per_vehicle}"
-    unsure = ", not shown" if told["points"].holds_nought else "" if told["points"].interval_90 else ", no interval"
+        text += f", {{objective}}{metric.per_vehicle}{_unsure(told['objective'])}"
     on = layout_frames(result)
     planned = " exactly as planned," if errors_text(result) else ""
-    text += f"{unsure}: over {_safe(what)} ({_safe(listed(first))}),{planned} on {on} frames"
+    text += f": over {_safe(what)} ({_safe(listed(first))}),{planned} on {on} frames"
     yield statement(ANSWER, text, "Together", first=True, **told)
 
 
@@ -228,19 +232,20 @@ def _cautions(result: Mapping) -> Iterator[Statement]:
         for name, one in each:
             for found in _on_bounds(one):
                 yield statement(CAUTION, of_name(_safe(name), found[0]), first=True, **found[1])
-            yield from _sentences(CAUTION, *(of_name(name, text) for text in _missed(one)), first=True)
+            yield from _sentences(CAUTION, *_missed(one), name=name, first=True)
     yield from other_traffic_statements(result)
     if was_searched(result):
         yield from _sentences(CAUTION, poles_text(result), first=True)
-        yield from _sentences(NOTE, *(of_name(name, optimum_text(one)) for name, one in each), first=True)
+        for name, one in each:
+            yield from _sentences(NOTE, optimum_text(one), name=name, first=True)
     yield from _worst_groups(result)
     yield from _two_wheelers(result)
     yield from _sentences(NOTE, worst_recording(result), first=True)
 
 
-def _sentences(kind: str, *texts: str, first: bool = False) -> Iterator[Statement]:
-    """Statements without quantities, of the texts that say anything."""
-    return (Statement(kind, as_sentence(text), first=first) for text in texts if text and not text.endswith(": "))
+def _sentences(kind: str, *texts: str, name: str = "", first: bool = False) -> Iterator[Statement]:
+    """Statements without quantities, of the texts that say anything, of the LiDAR of that name."""
+    return (Statement(kind, of_name(name, as_sentence(text)), first=first) for text in texts if text)
 
 
 def _crossed(result: Mapping) -> str:
@@ -299,11 +304,17 @@ def next_metre(one: Mapping) -> tuple[str, dict[str, Quantity]]:
     angle = f"a lean of {mount['lean_deg']:.1f}°" if leans(one) else f"a tilt of {mount['tilt_x_deg']:.1f}°"
     gain = points("next_metre", "a metre higher", *(beyond[f"detectable_share_gain{end}"] for end in _ENDS))
     told, text = {"more": gain}, f"{mount['height_m']:.2f} m with {angle} would change the detectable share by {{more}}"
-    if not metric.of_share:
+    text += _unsure(gain)
+    if not metric.of_share or is_weighted(one):
         ends = beyond["gain_over_baseline"], beyond["interval_90"]
         told["objective"] = amount(metric, "next_metre_objective", "a metre higher", *ends, signed=True)
-        text += f" and the objective by {{objective}}{metric.per_vehicle}"
-    return text + (", not shown to help" if gain.holds_nought else ""), told
+        text += f" and the objective by {{objective}}{metric.per_vehicle}{_unsure(told['objective'])}"
+    return text, told
+
+
+def _unsure(gain: Quantity) -> str:
+    """Stands behind a gain whose interval does not show it."""
+    return " (no interval)" if gain.interval_90 is None else " (not shown)" if gain.holds_nought else ""
 
 
 _ENDS = "", "_interval_90"
@@ -352,9 +363,9 @@ def other_traffic_statements(result: Mapping) -> Iterator[Statement]:
     yield from _sentences(NOTE, fleet_text(other), first=True)
     if (found := lorries(result)) is not None:
         yield found
-    whole = other["recorded"]
+    whole, frames = other["recorded"], counted(other["frames"], "frame")
     for mix in other["mixes"]:
-        if not mix["boxes"] or mix["lorries"] is not None:
+        if not mix["boxes"] or mix["lorries"] is not None or whole["detectable_share"] is None:
             continue
         told = {"mix": _mix_share(mix), "recorded": _mix_share(whole)}
         text, kind, first = f"{mix['what']} ({mix['value']}): {{mix}}", NOTE, False
@@ -362,12 +373,12 @@ def other_traffic_statements(result: Mapping) -> Iterator[Statement]:
             low, high = whole["interval_90"]
             first = not low <= mix["detectable_share"] <= high
             kind = CAUTION if first else NOTE
-        text += " detectable instead of {recorded}"
+        text += f" detectable, instead of {{recorded}} in the same {frames}"
         yield statement(kind, f"{text[0].upper()}{text[1:]}.", first=first, **told)
 
 
 def _mix_share(mix: Mapping) -> Quantity:
-    basis = Basis("", mix["boxes"], mix["distinct_vehicles"])
+    basis = Basis(HELD_OUT, mix["boxes"], mix["distinct_vehicles"])
     name = mix.get("what", "as recorded")
     return share(
         f"other_traffic {name} {mix.get('value', '')}".rstrip(),
@@ -413,18 +424,12 @@ def lorries(result: Mapping) -> Statement | None:
     return statement(CAUTION, text, first=True, **told)
 
 
-def known_groups(mix: Mapping) -> dict[str, float]:
-    """The detectable share of each approach, or else lane, of other traffic that has vehicles enough for one."""
-    groups = (mix.get("by_approach") or mix["by_lane"]).items()
-    return {name: one["detectable_share"] for name, one in groups if one["distinct_vehicles"] >= FEW_VEHICLES}
-
-
 def _worst_groups(result: Mapping) -> Iterator[Statement]:
     """The band of distance and the lane or approach that are seen worst."""
     by_lane = group_shares(result, APPROACH) or group_shares(result, "lane")
-    worst = [
-        min(one.values(), key=lambda each: each.value) for one in (group_shares(result, "distance"), by_lane) if one
-    ]
+    groups = [one for one in (group_shares(result, "distance"), by_lane) if len(one) > 1]
+    worst = (min(one.values(), key=lambda each: each.value) for one in groups)
+    worst = [replace(one, interval_90=None) for one in worst]  # chosen on what it is told on
     told = {f"group_{number}": one for number, one in enumerate(worst)}
     if told:
         planned = " (exactly as planned)" if errors_text(result) else ""
@@ -437,10 +442,12 @@ def _two_wheelers(result: Mapping) -> Iterator[Statement]:
     found = judged(result)[0]["as_hung"]["two_wheelers"]
     if found is None or found["boxes"] < TOLD_BOXES:
         return
-    basis = judged(result)[2]._replace(boxes=found["boxes"], vehicles=found["distinct_vehicles"])
+    basis = judged(result)[2]._replace(boxes=found["boxes"], vehicles=found["distinct_vehicles"], blocks=0)
     told = share("two_wheelers", "two-wheelers detectable", found["after"], found["after_interval_90"], basis)
     boxes, hung = counted(basis.boxes, "box"), ", as hung" * bool(errors_text(result))
-    yield statement(NOTE, f"Of two-wheelers ({boxes}) {{told}} are detectable{hung}.", first=True, told=told)
+    yield statement(
+        NOTE, f"Of two-wheelers ({boxes}) {{told}} are detectable{hung}{_unsure(told)}.", first=True, told=told
+    )
 
 
 def poles_text(result: Mapping) -> str:
@@ -464,13 +471,14 @@ def worst_recording(result: Mapping) -> str:
     """Which of several recordings has the lowest objective; empty where there is one."""
     recordings, held = result.get("recordings") or [], result["holdout"] is not None
     scored = {one["name"]: one["holdout"] if held else one for one in recordings}
-    scored = {name: scores for name, scores in scored.items() if scores is not None}
+    scored = {name: scores for name, scores in scored.items() if scores and scores["objective_per_vehicle"] is not None}
     if len(scored) < 2:
         return ""
     metric, whole = metric_named(result["metric"]), result["holdout"] if held else result
-    worst = (min if metric.higher_is_better else max)(scored, key=lambda name: scored[name]["objective_per_vehicle"])
+    worst = min(scored, key=lambda name: scored[name]["objective_per_vehicle"])
     values = (metric.amount(scores["objective_per_vehicle"], 1) for scores in (scored[worst], whole))
-    return "of the recordings {} is worst: {} per vehicle, all of them {}".format(worst, *values)
+    on = "held-out" if held else frames_word(result)
+    return "of the recordings {} is worst: {} per vehicle, all of them {}, on {} frames".format(worst, *values, on)
 
 
 _DIGITS = {"m": 2, "deg": 1}
@@ -491,9 +499,23 @@ def optimum_text(one: Mapping) -> str:
         digits = _DIGITS[unit] - (spread is not None or unit == "deg")
         ends = (f"{end:.{digits}f}" for end in (low, high))
         places.append(f"{name} {' to '.join(dict.fromkeys(ends))}{'°' if unit == 'deg' else ' m'}")
+    among = f" among the {spread['mountings']:,} mountings tried" if spread is not None else ""
+    if spread is None and _off_grid(one):
+        among = " on the map's grid, between whose points the mounting above lies, outside that range"
     return (
-        f"Other traffic of this kind may choose otherwise: {listed(places)} in 90 % of resamplings; "
+        f"Other traffic of this kind may choose otherwise: {listed(places)} in 90 % of resamplings{among}; "
         "not every mounting within is as good"
+    )
+
+
+def _off_grid(one: Mapping) -> bool:
+    """Whether the mounting lies more than half a step of the map's grid outside the interval of the optimum."""
+    found, score_map = one["deployment"], one["map"]
+    ends = (one["bounds"][key] for key in score_map["optimum_interval_90"])
+    steps = ((high - low) / (points - 1) for points, (low, high) in zip(score_map["points"], ends, strict=True))
+    return any(
+        not low - 0.5 * step <= found[key] <= high + 0.5 * step
+        for step, (key, (low, high)) in zip(steps, score_map["optimum_interval_90"].items(), strict=True)
     )
 
 
@@ -504,7 +526,7 @@ def _notes(result: Mapping) -> Iterator[Statement]:
     yield from _sentences(NOTE, *conditions(result), f"vehicles count {region_text(result['region'])}")
     if was_searched(result):
         for name, one in each_lidar(result).items():
-            yield from _sentences(NOTE, *(of_name(name, text) for text in _checked(one)))
+            yield from _sentences(NOTE, *_checked(one), name=name)
         yield from _sentences(NOTE, seeds_text(result))
     yield from _sentences(NOTE, *dict.fromkeys((*result["notes"], *result["traffic_report"]["notes"])))
 
@@ -544,10 +566,8 @@ def seeds_text(result: Mapping) -> str:
 
 
 def _assumed(result: Mapping) -> Iterator[Statement]:
-    """What was assumed: its label says what, its text the rest."""
-    for text in result["assumptions"]:
-        label, _, rest = text.partition(": ")
-        yield Statement(ASSUMED, f"{rest or label}.", label, first=True)
+    """What was assumed."""
+    return (Statement(ASSUMED, as_sentence(text), first=True) for text in result["assumptions"])
 
 
 def _meanings(result: Mapping) -> Iterator[Statement]:

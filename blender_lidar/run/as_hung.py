@@ -164,8 +164,7 @@ def judge_as_hung(boxes: Comparison, before: HungScores, after: HungScores) -> t
         ``nine_of_ten``, the 10 % quantile of the share over a resampled set of blocks and one error;
         ``objective_per_vehicle``. Of the mounting besides ``gain`` in detectable share over the baseline and
         ``objective_gain``, with intervals; ``worst_degree`` and ``worst_10_cm``, the least share where one tilt is off
-        by a degree, one height by 10 cm, and nothing else; ``two_wheelers``, `Comparison.shares` of motorcycles and
-        bicycles alone, None where there are none. Intervals are None as in `Comparison`, and so is
+        by a degree, one height by 10 cm, and nothing else. Intervals are None as in `Comparison`, and so is
         ``nine_of_ten``.
     """
     hung = boxes.with_scores(before.mean, after.mean)
@@ -188,11 +187,17 @@ def judge_as_hung(boxes: Comparison, before: HungScores, after: HungScores) -> t
         "objective_gain_interval_90": objective["gain_interval_90"],
         "worst_degree": float(after.degree_off.mean(axis=1).min(initial=planned)),
         "worst_10_cm": float(after.height_off.mean(axis=1).min(initial=planned)),
-        "two_wheelers": hung.of(two).shares() if (two := np.isin(boxes.before["class"], TWO_WHEELERS)).any() else None,
     }
 
 
 TWO_WHEELERS = ("motorcycle", "bicycle")
+
+
+def two_wheelers_as_hung(boxes: Comparison, before: HungScores, after: HungScores) -> dict | None:
+    """`Comparison.shares` of motorcycles and bicycles alone, as hung; None where there are none."""
+    chosen = np.isin(boxes.before["class"], TWO_WHEELERS)
+    return boxes.with_scores(before.mean, after.mean).of(chosen).shares() if chosen.any() else None
+
 
 AS_PLANNED = {
     "interval_90": "detectable_share_interval_90",

@@ -78,8 +78,8 @@ class Comparison:
 
     @property
     def blocks(self) -> int:
-        """Blocks of time that have boxes."""
-        return len(np.unique(self.block))
+        """Blocks of time that have boxes which count."""
+        return int((block_sums(self.weight, self.block) > 0.0).sum())
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -132,7 +132,7 @@ class Comparison:
         """Objective per vehicle, in the metric's unit, before and after, its difference and that one's interval."""
         sums = [block_sums(table[OBJECTIVE], self.block) for table in (self.before, self.after)]
         weight = block_sums(self.weight, self.block)
-        before, after = (float(one.sum() / weight.sum()) if weight.any() else None for one in sums)
+        before, after = self.means()
         if before is None:  # a group that does not count
             return {"before": None, "after": None, "gain": None, "gain_interval_90": None}
         ends = None
@@ -142,6 +142,11 @@ class Comparison:
                 lambda drawn: (drawn @ gained) / (drawn @ weight), weight, self._seed, self._recording_of_block
             )
         return {"before": before, "after": after, "gain": after - before, "gain_interval_90": ends and list(ends)}
+
+    def means(self) -> tuple[float | None, float | None]:
+        """Objective per vehicle before and after; None where nothing counts."""
+        weight = self.weight.sum()
+        return tuple(float(table[OBJECTIVE].sum() / weight) if weight else None for table in (self.before, self.after))
 
     # --- Both ---------------------------------------------------------------------------------------------------------
 
@@ -175,7 +180,7 @@ class Comparison:
         rows = []
         for by, name, chosen in groups_of(self.before, self.after, site):
             group = self.of(chosen)
-            means = {f"objective_{when}": group.objective()[when] for when in ("before", "after")}
+            means = dict(zip(("objective_before", "objective_after"), group.means(), strict=True))
             rows.append({"by": by, "name": name, **group.shares(), **means})
         return rows
 

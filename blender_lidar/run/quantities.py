@@ -13,7 +13,7 @@ from ..metrics.metric import Metric
 from ..scene.mounting import ANGLES, COORDINATE_NAMES, LEANS
 from ..statistics import FEW_VEHICLES
 from ..traffic.vehicles import counted
-from .words import each_lidar, errors_text, layout_frames, leans, mounting_name, was_searched
+from .words import each_lidar, errors_text, frames_word, layout_frames, leans, mounting_name, was_searched
 
 # --- Quantities of a run ----------------------------------------------------------------------------------------------
 
@@ -83,7 +83,13 @@ def quantities(result: Mapping) -> dict[str, Quantity]:
 def group_shares(result: Mapping, by: str) -> dict[str, Quantity]:
     """The detectable share of each group under the mounting, exactly as planned; of ten different vehicles or more."""
     return {
-        one["name"]: share(f"{by} {one['name']}", one["name"], one["after"], one["after_interval_90"])
+        one["name"]: share(
+            f"{by} {one['name']}",
+            one["by"].replace("distance", one["name"]) if by == "distance" else one["name"],
+            one["after"],
+            one["after_interval_90"],
+            judged(result)[2]._replace(boxes=one["boxes"], vehicles=one["distinct_vehicles"]),
+        )
         for one in result["groups"]
         if one["by"].split()[0] == by and one["distinct_vehicles"] >= FEW_VEHICLES
     }
@@ -220,11 +226,13 @@ def _groups(result: Mapping) -> Iterator[Table]:
     for by in dict.fromkeys(group["by"] for group in result["groups"]):
         groups = [group for group in result["groups"] if group["by"] == by]
         few = [group for group in groups if group["boxes"] < TOLD_BOXES]
-        rows = [_group_row(group, metric) for group in groups if group not in few]
-        if len(few) > 1 and rows:
-            rows.append(_counted_row("others", few))
-        else:
-            rows += [_counted_row(group["name"], [group]) for group in few]
+        joined = few if 1 < len(few) < len(groups) else []
+        rows = [
+            _counted_row(group["name"], [group]) if group in few else _group_row(group, metric)
+            for group in groups
+            if group not in joined
+        ]
+        rows += [_counted_row("others", joined)] if joined else []
         title = f"By {by}, {basis.split} frames{', exactly as planned' * bool(errors_text(result))}"
         yield Table(f"by {by}", title, (by, *columns), tuple(rows), basis)
 
@@ -253,7 +261,7 @@ def _poles(result: Mapping) -> Table:
     """Candidate poles side by side, the best on the searched frames first."""
     metric, poles = metric_named(result["metric"]), result["poles"]
     held, hung = poles[0]["holdout"] is not None, "as hung" if errors_text(result) else "as planned"
-    columns = ("pole", "height on it", f"objective {hung}, searched", f"detectable {hung}")
+    columns = ("pole", "height on it", f"objective {hung}, searched", f"detectable {hung if held else 'as planned'}")
     columns += ("difference, all together", "differs") * held + ("cost", "existing")
     rows = []
     for pole in poles:
@@ -332,12 +340,14 @@ def _recordings(result: Mapping) -> Table:
             continue
         gain = after["detectable_share_gain"], after["detectable_share_gain_interval_90"]
         shares = _shares(_with_ends(before), _with_ends(after), *gain)
-        values = [
-            amount(metric, "objective_per_vehicle", "", side["objective_per_vehicle"]) for side in (before, after)
-        ]
+        means = (side["objective_per_vehicle"] for side in (before, after))
+        values = (None if mean is None else amount(metric, "objective", "", mean) for mean in means)
         ends = after.get("gain_over_baseline"), after.get("interval_90")
         gained = None if ends[0] is None else amount(metric, "gain", "", *ends, signed=True)
         rows.append((one["name"], f"{one['weight']:g}", *shares, *values, gained))
     return Table(
-        "recordings", f"Each recording alone, {'held-out' if held else 'searched'} frames", columns, tuple(rows)
+        "recordings",
+        f"Each recording alone, {'held-out' if held else frames_word(result)} frames",
+        columns,
+        tuple(rows),
     )

@@ -17,7 +17,7 @@ from ..scene.mounting import Layout
 from ..scene.site import Site
 from ..scoring.evaluation import Evaluator
 from ..statistics import block_sums, drawn_blocks, interval_90, of_blocks
-from .as_hung import HungObjective, HungScores, hung_scores, judge_as_hung
+from .as_hung import HungObjective, HungScores, hung_scores, judge_as_hung, two_wheelers_as_hung
 from .comparison import Comparison
 from .vehicle_table import vehicle_tables
 
@@ -158,6 +158,7 @@ def _hung_cross_fitted(
         held_before, held = _hung(site, evaluator.held_out, layouts)
         before, after = HungScores.joined([before, held_before]), HungScores.joined([after, held["optimised"]])
     base, found = judge_as_hung(boxes, before, after)
+    found["two_wheelers"] = two_wheelers_as_hung(boxes, before, after)
     return {BASELINE_NAME: base, "optimised": found}
 
 
@@ -175,6 +176,7 @@ def figures_as_hung(
     _, judging = evaluator.judging
     before, found = _hung(site, judging, layouts)
     base, figures = judge_as_hung(boxes, before, found["optimised"])
+    figures["two_wheelers"] = two_wheelers_as_hung(boxes, before, found["optimised"])
     gains = {"optimised": figures["objective_gain"]}
     best = hung_scores(site.scenario, judging, list(of_maps.values()), singles=False) if of_maps else []
     for name, one in zip(of_maps, best, strict=True):
