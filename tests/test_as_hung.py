@@ -204,7 +204,7 @@ def test_terminal_page_sheet_and_panel_tell_the_same_share_as_hung(runs, tmp_pat
         flat = " ".join(text.split())
         assert f"{told['after']} of the vehicles, as hung" in flat, name
         assert f"exactly as planned {told['planned']}" in flat, name
-    assert "the LiDAR hangs within ±4° of either tilt, ±0.3 m of height, ±6° of yaw" in " ".join(out.split())
+    assert "Assumed: The LiDAR hangs within ±4° of either tilt, ±0.3 m of height, ±6° of yaw" in " ".join(out.split())
     assert any(line.startswith(f"Detectable: {told['after']} ") for line in short_lines(RunFolder(run).document))
 
 
