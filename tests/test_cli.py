@@ -181,7 +181,7 @@ def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
         "Casting",
     ]
     result = json.loads(Path("run/result.json").read_text())
-    assert title == result["document"]["title"]
+    assert " ".join(title.split()) == result["document"]["title"]
     labels = [line.split("  ")[1] for line in message.splitlines() if line[:2] == "  " and line[2] not in " !"]
     assert labels == ["Best found", "Detectable", "Gain", "Stands at"]  # it hangs already
     assert message.startswith("  ! Held-out traffic shows a gain in the objective, but not that more vehicles become ")

@@ -19,7 +19,7 @@ def document_text(document: Document, where: Sequence[str] = (), *, every: bool 
     doubts, answers = document.of(DOUBT), document.of(ANSWER, first=not every)
     label = max((len(one.label) for one in answers), default=0)
     parts = [
-        [document.title],
+        _wrapped("", document.title),
         [line for one in doubts for line in _wrapped(f"  {_MARK[DOUBT]}", one.text)]
         + [line for one in answers for line in _wrapped(f"  {one.label:<{label}}  ", one.text)],
         list(_to_know(document, every)),
