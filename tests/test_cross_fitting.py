@@ -76,9 +76,10 @@ def test_every_block_judges_what_was_chosen_without_it(tmp_path, capsys, monkeyp
     assert base["gain_over_baseline"] == 0.0
     assert sum(one["boxes"] for one in result["groups"] if one["by"] == "class") == crossed["boxes"]
     said = " ".join(out.split())
-    assert "on traffic left out in turn (" in said
-    assert "each block has judged the mounting that is best on the other blocks (cross-fitting)" in said
-    assert f"Each block of time judged without it, {crossed['blocks']} blocks" in said
+    assert f", {crossed['blocks']} blocks of time, each block left out in turn" in said
+    assert "each block judged the best mounting of the other blocks (cross-fitting)" in said
+    table = next(one for one in result["document"]["tables"] if one["key"] == "mountings")
+    assert any(row[0].startswith(f"Each block left out in turn, {crossed['blocks']} blocks") for row in table["rows"])
 
 
 def test_where_enough_is_held_out_that_judges_alone(tmp_path, capsys, monkeypatch):
