@@ -355,7 +355,7 @@ def test_the_picture_shows_what_was_matched_in_the_median_frame_and_is_on_the_pa
     )
     out, _ = done(capsys, "evaluate", scene, *MOUNT, "--detector", "classical", "--out", tmp_path / "run")
     result = json.loads((tmp_path / "run" / "detection.json").read_text())
-    share = f"finds {100 * result['mountings']['given']['recall_0.3']:.0f} % ("
+    share = f"finds {100 * result['mountings']['given']['recall_0.3']:.0f}"
     assert share in " ".join(out.split())
     frame, (baseline, given), title, subtitle = shown
     assert title == f"RS-16: what the detector classical finds in frame {frame.frame}"

@@ -91,6 +91,8 @@ def test_a_net_gives_its_junction_four_corners_and_a_scene_that_runs(tmp_path, s
     how = ("--frames", 3, "--particles", 6, "--iterations", 2, "--installer", "false", "--workers", 1)
     how += ("--out", tmp_path / "run")
     assert run("optimise", folder / "scene.toml", *how) == 0
+    capsys.readouterr()
+    assert run("report", tmp_path / "run", "--all") == 0
     told = capsys.readouterr().out
     assert "from_north" in told
     assert "straight" in told

@@ -277,7 +277,7 @@ def test_one_lidar_is_told_as_before(tmp_path, capsys, monkeypatch):
     assert not {"lidars", "detectable_share"} & set(result)
     assert "over" not in result["mountings"]["given"]
     assert "fusion" not in detection_text(result)
-    assert [name for name, _ in detection_table(result).head[0]][1:3] == ["baseline", "given"]
+    assert detection_table(result).columns[1:3] == ("baseline", "given")
 
 
 @pytest.mark.usefixtures("_scikit_learn")

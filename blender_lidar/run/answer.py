@@ -523,7 +523,8 @@ def _off_grid(one: Mapping) -> bool:
 
 
 def _notes(result: Mapping) -> Iterator[Statement]:
-    yield from _sentences(NOTE, *conditions(result), f"vehicles count {region_text(result['region'])}")
+    yield from _sentences(NOTE, *conditions(result), first=True)
+    yield from _sentences(NOTE, f"vehicles count {region_text(result['region'])}")
     if was_searched(result):
         for name, one in each_lidar(result).items():
             yield from _sentences(NOTE, *_checked(one), name=name)
