@@ -185,13 +185,14 @@ def test_a_detector_is_judged_by_approach_and_the_sheet_tells_each_approachs_sha
     assert "from_west     vehicles" in text
     groups = [
         {"by": "approach", "name": name, "after": share, "after_interval_90": ends, "distinct_vehicles": vehicles}
+        | {"boxes": vehicles}
         for name, share, ends, vehicles in (
             ("from_east", 0.56, [0.44, 0.69], 30),
             ("from_west", 0.97, None, 10),
             ("from_north", 0.5, None, 9),  # too few to be told
         )
     ]
-    shares = group_shares({"groups": groups}, "approach")
+    shares = group_shares({"groups": groups, "holdout": {}}, "approach")
     assert {name: str(one) for name, one in shares.items()} == {"from_east": "56 % (44 to 69)", "from_west": "97 %"}
 
 

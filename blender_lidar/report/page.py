@@ -53,8 +53,8 @@ def _heading_cell(text: str, columns: int) -> Markup:
 
 
 def _number(text: str) -> Markup:
-    """A cell of a number, with a minus as wide as a plus; a group without vehicles has none."""
-    return element("td", _NONE if text in ("", "-") else minus(text))
+    """A cell of a number, with a minus as wide as a plus; "-" stands for none."""
+    return element("td", _NONE if text == "-" else minus(text))
 
 
 def minus(text: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..metrics.catalogue import PE_VGOP, metric_named
 from ..run.folder import RunFolder, of_lidar
-from ..run.quantities import judged
+from ..run.quantities import judged_on
 from ..run.vehicle_table import APPROACH, METRIC_VALUE, MOVEMENT, WEIGHT
 from ..run.verdict import REGION_SHARE, ScoreMap, near_best_threshold
 from ..run.words import (
@@ -343,7 +343,7 @@ def plot_by_approach(path: str | Path, result: Mapping) -> None:
     rows = approach_rows(result)
     looks = {"before": BASELINE_LOOK, "after": OPTIMISED_LOOK}
     names = dict(zip(looks, (name.lower() for name, *_ in sides(result)), strict=True))
-    subtitle = f"{result['sensor']}, {gate_text(result)}; {judged(result)[2].split} frames"
+    subtitle = f"{result['sensor']}, {gate_text(result)}; {judged_on(result)} frames"
     with sheet(path, 36.0 + 8.0 * len(rows), "Detectable vehicles by approach and movement", subtitle) as figure:
         axes = figure.subplots()
         for at, row in enumerate(rows):

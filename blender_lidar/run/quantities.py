@@ -40,14 +40,22 @@ def _percent(ends):
     return ends and tuple(100.0 * end for end in ends)
 
 
+def judged_on(result: Mapping) -> str:
+    """The split of frames on which the mounting is judged."""
+    if result.get("cross_fitted") is not None:
+        return LEFT_OUT
+    if result["holdout"] is not None:
+        return HELD_OUT
+    return SEARCHED if was_searched(result) else SCORED
+
+
 def judged(result: Mapping) -> tuple[Mapping, Mapping, Basis]:
     """Scores of the mounting and of the baseline as planned where they are judged, and what they stand on."""
-    if (crossed := result.get("cross_fitted")) is not None:
-        found, base, split = crossed["optimised"], crossed["baseline"], LEFT_OUT
-    elif result["holdout"] is not None:
-        found, base, split = result["holdout"], result["baseline"]["holdout"], HELD_OUT
-    else:
-        found, base, split = result, result["baseline"], SEARCHED if was_searched(result) else SCORED
+    found, base, split = result, result["baseline"], judged_on(result)
+    if split == LEFT_OUT:
+        found, base = (result["cross_fitted"][name] for name in ("optimised", "baseline"))
+    elif split == HELD_OUT:
+        found, base = found["holdout"], base["holdout"]
     sizes = found["boxes"], found["distinct_vehicles"], found.get("blocks", 0)
     return found, base, Basis(split, *sizes, hung=False, chosen_here=split == SEARCHED)
 
@@ -88,7 +96,7 @@ def group_shares(result: Mapping, by: str) -> dict[str, Quantity]:
             one["by"].replace("distance", one["name"]) if by == "distance" else one["name"],
             one["after"],
             one["after_interval_90"],
-            judged(result)[2]._replace(boxes=one["boxes"], vehicles=one["distinct_vehicles"]),
+            Basis(judged_on(result), one["boxes"], one["distinct_vehicles"]),
         )
         for one in result["groups"]
         if one["by"].split()[0] == by and one["distinct_vehicles"] >= FEW_VEHICLES
