@@ -247,22 +247,22 @@ def test_sides_that_contradict_the_road_are_refused(text, words, tmp_path):
     [
         (
             {"side": "left"},
-            "tilted 15.0° down towards the middle of the region, facing -y",
+            "tilted 15.0° down towards the middle of the region Detectable",
             "faces -y, right of the direction of travel on the r",
         ),
         (
             {"side": "median"},
-            "tilted 15.0° down to the left of the nearest lane's traffic, at x",
+            "tilted 15.0° down to the left of the nearest lane's traffic Detectable",
             "in the median, 2.50 m from the edge of the nearest lane",
         ),
         (
             {"side": "gantry", "height_m": [5.0, 8.0]},
-            "tilted 15.0° down towards the middle of the region, at x",
+            "tilted 15.0° down towards the middle of the region Detectable",
             "over a lane, 0.00 m from its ",
         ),
         (
             {"facing_deg": 45.0},
-            "tilted 15.0° down towards the road, facing 45° from +x",
+            "tilted 15.0° down towards the road Detectable",
             "45 deg counter-clockwise of it",
         ),
     ],
