@@ -118,6 +118,6 @@ def without_times(result: dict) -> dict:
     """A result but for what may differ between two runs that ought to agree: times, versions, the name of the site."""
     kept = {key: value for key, value in result.items() if key not in ("seconds", "versions")}
     if "document" in kept:
-        title = kept["document"]["title"].replace(f" at {result.get('site')}:", ":")
+        title = kept["document"]["title"].partition(": ")[2]
         kept["document"] = {**kept["document"], "title": title, "settings": {}}
     return kept

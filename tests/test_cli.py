@@ -184,7 +184,7 @@ def test_the_answer_comes_first_and_progress_goes_to_stderr(tmp_path, capsys):
     assert " ".join(title.split()) == result["document"]["title"]
     labels = [line.split("  ")[1] for line in message.splitlines() if line[:2] == "  " and line[2] not in " !"]
     assert labels == ["Best found", "Detectable", "Gain", "Stands at"]  # it hangs already
-    assert message.startswith("  ! Held-out traffic shows a gain in the objective, but not that more vehicles become ")
+    assert " ".join(message.split()).startswith("! Held-out traffic shows a gain in the objective, but not that more ")
     assert before.startswith(
         "Before you act\n  ! Every vehicle is detectable under either mounting, so the detectable "
     )

@@ -440,7 +440,7 @@ def test_other_heights_are_a_line_of_their_own_where_they_change_more_than_the_i
         (told,) = other_traffic_statements(result)
         assert told.first == first
         assert told.text.startswith("Other heights (as in a real fleet): ")
-        assert told.text.endswith("instead of 87 % (82 to 92).")
+        assert told.text.endswith("instead of 87 % (82 to 92) in the same 20 frames.")
 
 
 def test_where_the_height_lies_on_its_bound_the_next_metre_is_told(tmp_path, capsys, monkeypatch):
