@@ -154,9 +154,10 @@ def _answers(result: Mapping) -> Iterator[Statement]:
         text = f"x {at['x_m']:.2f} m, y {at['y_m']:.2f} m ({at['frame']}); the mast faces bearing "
         text += f"{at['facing_bearing_deg']:.0f}°, clockwise from +y"
         yield statement(ANSWER, _safe(text), of_name(name, "Stands at") if not name else f"Stands, {name}", first=True)
-    if not judged(result)[2].chosen_here and (groups := _by_approach(result)):
-        planned = " (exactly as planned)" if hung else ""
-        yield statement(ANSWER, ", ".join(groups) + planned, "By approach", **groups_quantities(result, APPROACH))
+    approaches = tuple(group_shares(result, APPROACH).values())
+    if approaches and not judged(result)[2].chosen_here:
+        text = ", ".join(f"{one.label} {one}" for one in approaches) + " (exactly as planned)" * bool(hung)
+        yield Statement(ANSWER, text, "By approach", approaches)
 
 
 def _place(result: Mapping, one: Mapping, name: str) -> str:
@@ -209,17 +210,6 @@ def _over_single(result: Mapping) -> Iterator[Statement]:
     planned = " exactly as planned," if errors_text(result) else ""
     text += f": over {_safe(what)} ({_safe(listed(first))}),{planned} on {on} frames"
     yield statement(ANSWER, text, "Together", first=True, **told)
-
-
-def groups_quantities(result: Mapping, by: str) -> dict[str, Quantity]:
-    """The same by keys that a text can name."""
-    return {f"group_{number}": one for number, one in enumerate(group_shares(result, by).values())}
-
-
-def _by_approach(result: Mapping) -> list[str]:
-    """The detectable share of each approach, as a text to be filled."""
-    names = group_shares(result, APPROACH)
-    return [f"{_safe(name)} {{group_{number}}}" for number, name in enumerate(names)]
 
 
 # --- What to know before acting on it ---------------------------------------------------------------------------------
@@ -430,11 +420,10 @@ def _worst_groups(result: Mapping) -> Iterator[Statement]:
     groups = [one for one in (group_shares(result, "distance"), by_lane) if len(one) > 1]
     worst = (min(one.values(), key=lambda each: each.value) for one in groups)
     worst = [replace(one, interval_90=None) for one in worst]  # chosen on what it is told on
-    told = {f"group_{number}": one for number, one in enumerate(worst)}
-    if told:
+    if worst:
         planned = " (exactly as planned)" if errors_text(result) else ""
-        text = ", ".join(f"{_safe(one.label)} {{{key}}}" for key, one in told.items())
-        yield statement(NOTE, f"Seen worst{planned}: {text}.", first=True, **told)
+        text = f"Seen worst{planned}: {', '.join(f'{one.label} {one}' for one in worst)}."
+        yield Statement(NOTE, text, quantities=tuple(worst), first=True)
 
 
 def _two_wheelers(result: Mapping) -> Iterator[Statement]:
