@@ -110,13 +110,17 @@ class Quantity:
 def adding_up(before: Quantity, after: Quantity, gain: Quantity) -> tuple[Quantity, Quantity, Quantity]:
     """Before, after and their difference with the same digits, so that the difference is that of what is written.
 
-    A difference that is known to more digits than both, as of nearly equal mountings, is written by its own.
+    A difference that is known to more digits than both, as of nearly equal mountings, or that would leave its interval
+    is written by its own.
     """
     digits = min(before.digits, after.digits)
     if gain.digits > digits:
         return before, after, gain
     digits = min(digits, gain.digits)
     first, last = round(before.value, digits), round(after.value, digits)
+    low, high = (-math.inf, math.inf) if gain.interval_90 is None else (round(end, digits) for end in gain.interval_90)
+    if not low <= round(last - first, digits) <= high:
+        return before, after, gain
     shown = first, last, last - first
     return tuple(
         replace(one, decimals=digits, shown=number) for one, number in zip((before, after, gain), shown, strict=True)
